@@ -1,0 +1,215 @@
+"""What the calibration stages return, and the system that they make up together.
+
+Every value carries the observations behind it, so that the report can show residuals without doing a stage again.
+Lengths in mm, angles in rad, image errors in px; frames stand in the names. Rows of NaN mark elements that are missing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import RigidTransform
+
+from rotaline.geometry.primitives import Line, Plane
+from rotaline.geometry.transforms import base_from_axis
+from rotaline.vision.camera import CameraModel
+from rotaline.vision.targets.model import TargetDetection
+
+
+@dataclass(frozen=True, eq=False)
+class TargetView:
+    """A target detected in one image of the session; ``name`` is ``folder/image``."""
+
+    name: str
+    detection: TargetDetection
+    angle_rad: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class CameraView:
+    """One view in the camera calibration; ``reason`` says why it was left out (empty if used)."""
+
+    name: str
+    used: bool
+    reason: str
+    camera_from_board: RigidTransform
+    rms_px: float
+    uv: Float[np.ndarray, "n 2"]
+    residuals_px: Float[np.ndarray, "n 2"]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCalibration:
+    """Camera with the standard deviations of its parameters and the residuals of every view.
+
+    ``rms_px`` is sqrt(mean |residual|^2) over the points of the used views (the figure that OpenCV prints);
+    ``mean_error_px`` is the mean length of a residual (the figure of the article).
+    """
+
+    camera: CameraModel
+    parameter_names: tuple[str, ...]
+    u_parameters: Float[np.ndarray, " p"]
+    views: tuple[CameraView, ...]
+    rms_px: float
+    mean_error_px: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class StripeOnBoard:
+    """The stripe on a target in one pose: points on the board's plane and their distance from the laser plane."""
+
+    name: str
+    used: bool
+    reason: str
+    camera_from_board: RigidTransform
+    uv: Float[np.ndarray, "n 2"]
+    points_camera: Float[np.ndarray, "n 3"]
+    residuals_mm: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class LaserPlaneCalibration:
+    """The laser plane fitted to the stripes on all boards.
+
+    ``rms_mm`` is over the points used; ``u_normal_rad`` are the standard uncertainties of the normal along the two
+    principal directions of the points, larger first; ``u_offset_mm`` that of the plane at the centroid of the points.
+    """
+
+    plane_camera: Plane
+    views: tuple[StripeOnBoard, ...]
+    rms_mm: float
+    u_normal_rad: tuple[float, float]
+    u_offset_mm: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class CrossRatioResult:
+    """Laser plane optimisation by cross-ratio invariance, eq. (4)-(7): intervals before and after.
+
+    One entry per interval: ``view`` indexes ``names``, ``row`` is the first of the two dot rows (or columns).
+    ``accepted`` is False, with the reason, where the optimised plane is not better; then ``plane_camera`` is the one
+    that came in. ``history_mm`` is the objective (7) after each iteration.
+    """
+
+    plane_camera: Plane
+    plane_before_camera: Plane
+    accepted: bool
+    reason: str
+    names: tuple[str, ...]
+    view: Int[np.ndarray, " m"]
+    row: Int[np.ndarray, " m"]
+    reference_mm: Float[np.ndarray, " m"]
+    measured_before_mm: Float[np.ndarray, " m"]
+    measured_after_mm: Float[np.ndarray, " m"]
+    rmse_before_mm: float
+    rmse_after_mm: float
+    n_iterations: int
+    converged: bool
+    history_mm: Float[np.ndarray, " k"]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class AxisFrame:
+    """One frame of the target on the turntable."""
+
+    name: str
+    used: bool
+    reason: str
+    angle_rad: float
+    camera_from_board: RigidTransform
+    rms_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class AxisCalibration:
+    """Initial rotation axis from a target on the turntable, eq. (8)-(10).
+
+    ``turn_sense`` is +1 if ``angle_deg`` of the session is right-handed about ``axis_camera.direction`` (which points up).
+    ``corners_camera[f, i]`` is corner ``point_ids[i]`` in frame f (NaN where not seen); circle i has the centre
+    ``circle_centres_camera[i]``. ``rms_mm`` is the distance of the corners from their circles.
+    """
+
+    axis_camera: Line
+    turn_sense: int
+    frames: tuple[AxisFrame, ...]
+    point_ids: Int[np.ndarray, " m"]
+    corners_camera: Float[np.ndarray, "f m 3"]
+    circle_centres_camera: Float[np.ndarray, "m 3"]
+    circle_radii_mm: Float[np.ndarray, " m"]
+    circle_rms_mm: Float[np.ndarray, " m"]
+    rms_mm: float
+    centre_line_rms_mm: float
+    u_direction_rad: float
+    u_position_mm: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ArtifactMount:
+    """The stepped cylinder in one mount.
+
+    ``features_camera[f, h]`` is feature point B_(h+1) of frame f (NaN where not found);
+    ``features_before_base`` / ``features_base`` are the same points turned back to angle 0 about the initial / the optimised
+    axis, in the base frame of that axis. ``distances_*_mm[f, h]`` are eq. (13) of the ideal circle in the pose
+    ``base_from_part``. ``eccentricity_mm`` is the distance of the cylinder's axis from the rotation axis at mid height.
+    """
+
+    name: str
+    frame_names: tuple[str, ...]
+    angles_rad: Float[np.ndarray, " f"]
+    frame_used: tuple[bool, ...]
+    frame_reasons: tuple[str, ...]
+    features_camera: Float[np.ndarray, "f 4 3"]
+    features_before_base: Float[np.ndarray, "f 4 3"]
+    features_base: Float[np.ndarray, "f 4 3"]
+    distances_before_mm: Float[np.ndarray, "f 4"]
+    distances_mm: Float[np.ndarray, "f 4"]
+    base_from_part_before: RigidTransform
+    base_from_part: RigidTransform
+    mean_distance_before_mm: float
+    mean_distance_mm: float
+    eccentricity_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class ArtifactCalibration:
+    """Axis optimised with the stepped cylinder, eq. (11)-(14), over all mounts together.
+
+    ``history_mm[k]`` is the objective (14), mean distance over all mounts, after iteration k (0: at the start).
+    ``u_direction_rad`` and ``u_position_mm`` are the larger standard uncertainties of the axis, from the residuals.
+    """
+
+    method: str
+    axis_camera: Line
+    axis_before_camera: Line
+    mounts: tuple[ArtifactMount, ...]
+    mean_distance_before_mm: float
+    mean_distance_mm: float
+    n_iterations: int
+    converged: bool
+    history_mm: Float[np.ndarray, " k"]
+    u_direction_rad: float
+    u_position_mm: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SystemCalibration:
+    """All that a scan needs. ``rotation_axis_camera.point`` is the origin of the base frame: z = 0.
+
+    ``table_seen``: z = 0 is the table top; otherwise it is the point of the axis nearest to the optical axis.
+    """
+
+    camera: CameraModel
+    laser_plane_camera: Plane
+    rotation_axis_camera: Line
+    turn_sense: int
+    table_seen: bool
+
+    @property
+    def base_from_camera(self) -> RigidTransform:
+        """Camera to base frame (see :func:`rotaline.geometry.transforms.base_from_axis`)."""
+        return base_from_axis(self.rotation_axis_camera)

@@ -1,0 +1,1 @@
+"""Geometry: primitives, transforms, intersections, fitting with covariance, robust estimation. Knows no camera."""

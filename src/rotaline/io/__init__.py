@@ -1,0 +1,1 @@
+"""Files: the session folder, the calibration file, stage records, clouds and meshes, the report."""

@@ -1,0 +1,107 @@
+"""What a report is made from: plain values, so that it can be written again from stored results."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from rotaline.calibration.model import (
+    ArtifactCalibration,
+    AxisCalibration,
+    CameraCalibration,
+    CrossRatioResult,
+    LaserPlaneCalibration,
+    SystemCalibration,
+)
+from rotaline.io.results import MeasurementEntry
+from rotaline.scanning.cloud import PointCloud
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """Who measured what, when, with which versions and options, and how long each stage took."""
+
+    session: str
+    finished_at: str
+    versions: dict[str, str]
+    machine: str
+    options: dict[str, str]
+    stage_seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class CaptureSummary:
+    """One capture of the session."""
+
+    folder: str
+    role: str
+    target: str
+    n_frames: int
+    n_laser_on: int
+    image_size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class StageWarning:
+    """Something that makes a result doubtful: the stage that spoiled it, what was found and what to do.
+
+    ``serious``: the result should not be trusted.
+    """
+
+    stage: str
+    text: str
+    serious: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class FrameOverlay:
+    """A frame (perhaps reduced by ``scale``) with the points that were found in it, px of the full image."""
+
+    stage: str
+    name: str
+    caption: str
+    image: UInt8[np.ndarray, "h w 3"]
+    scale: float
+    uv: Float[np.ndarray, "n 2"]
+
+
+@dataclass(frozen=True, eq=False)
+class CloudSummary:
+    """A scan; ``cloud`` is thinned for drawing, the counts are of the full one. ``folder``: capture."""
+
+    folder: str
+    cloud: PointCloud
+    n_points: int
+    n_frames: int
+    n_frames_without_stripe: int
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSummary:
+    """A reconstructed surface, in the table frame; ``failure`` says why there is none."""
+
+    folder: str
+    vertices_table: Float[np.ndarray, "v 3"]
+    triangles: Int[np.ndarray, "t 3"]
+    failure: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ReportContents:
+    """Everything that the report shows; stages that were not done are None or empty."""
+
+    run: RunInfo
+    captures: tuple[CaptureSummary, ...]
+    targets: dict[str, str]
+    warnings: tuple[StageWarning, ...]
+    camera: CameraCalibration | None
+    laser_plane: LaserPlaneCalibration | None
+    cross_ratio: CrossRatioResult | None
+    axis: AxisCalibration | None
+    artifact: ArtifactCalibration | None
+    calibration: SystemCalibration | None
+    clouds: tuple[CloudSummary, ...]
+    surfaces: tuple[SurfaceSummary, ...]
+    measurements: tuple[MeasurementEntry, ...]
+    measurements_initial_axis: tuple[MeasurementEntry, ...]
+    overlays: tuple[FrameOverlay, ...]

@@ -1,0 +1,1 @@
+"""Metrology: features of known shape found in a cloud, their size, form error and residuals."""

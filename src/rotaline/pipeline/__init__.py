@@ -1,0 +1,1 @@
+"""Pipeline: session and options to results, stage by stage, resumable."""

@@ -1,0 +1,1 @@
+"""Scanning: stripe centres to points in the table frame, points to a surface."""

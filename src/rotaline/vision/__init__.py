@@ -1,0 +1,1 @@
+"""Vision: images, the camera model, target detection, stripe extraction. Everything here is in pixels."""
