@@ -1,6 +1,6 @@
 """What a report is made from: plain values, so that it can be written again from stored results."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -13,8 +13,24 @@ from rotaline.calibration.model import (
     LaserPlaneCalibration,
     SystemCalibration,
 )
+from rotaline.geometry.primitives import SteppedCylinder
 from rotaline.io.results import MeasurementEntry
 from rotaline.scanning.cloud import PointCloud
+
+STAGES = {
+    "session": "Session",
+    "camera": "Camera",
+    "stripe": "Stripe",
+    "laser-plane": "Laser plane",
+    "cross-ratio": "Cross-ratio optimisation",
+    "axis": "Initial axis",
+    "artifact": "Axis optimisation",
+    "scan": "Scan",
+    "measure": "Measurement",
+    "surface": "Surface",
+    "report": "Report",
+}
+"""Names of the stages in warnings, overlays and times, with their titles. Other names are shown as they are."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +71,10 @@ class StageWarning:
 
 @dataclass(frozen=True, eq=False)
 class FrameOverlay:
-    """A frame (perhaps reduced by ``scale``) with the points that were found in it, px of the full image."""
+    """A frame of ``stage`` with the points that were found in it.
+
+    ``image`` may be reduced: its width is ``scale`` times the full width (``scale`` <= 1). ``uv`` are px of the full image.
+    """
 
     stage: str
     name: str
@@ -87,8 +106,25 @@ class SurfaceSummary:
 
 
 @dataclass(frozen=True, eq=False)
+class FittedPoints:
+    """Points of a measured feature with their residuals (perhaps thinned), for the picture of the fit.
+
+    ``capture``, ``feature`` and ``name`` are those of the :class:`~rotaline.io.results.MeasurementEntry`.
+    """
+
+    capture: str
+    feature: str
+    name: str
+    points_table: Float[np.ndarray, "n 3"]
+    residuals_mm: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
 class ReportContents:
-    """Everything that the report shows; stages that were not done are None or empty."""
+    """Everything that the report shows; stages that were not done are None or empty.
+
+    ``artifacts`` holds the calibrated sizes of the stepped cylinder by the folder of its capture.
+    """
 
     run: RunInfo
     captures: tuple[CaptureSummary, ...]
@@ -105,3 +141,5 @@ class ReportContents:
     measurements: tuple[MeasurementEntry, ...]
     measurements_initial_axis: tuple[MeasurementEntry, ...]
     overlays: tuple[FrameOverlay, ...]
+    fitted_points: tuple[FittedPoints, ...] = ()
+    artifacts: dict[str, SteppedCylinder] = field(default_factory=dict)
