@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import UInt8, UInt16
+from PIL import Image as Pillow
 
 from rotaline.errors import SessionError
 
@@ -12,7 +13,48 @@ Image = UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"] | UInt8[np.ndarray,
 """Grey (h, w) or colour (h, w, 3) in the order red, green, blue; ``image[v, u]``."""
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-_PNG_END = b"IEND\xaeB`\x82"
+_COPY_AGAIN = "Copy it again from where it was taken, or remove its row from frames.csv."
+
+
+def one_thread_per_image() -> None:
+    """Keep OpenCV from starting threads of its own: frames are worked on side by side already."""
+    cv2.setNumThreads(1)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image file from its header; also notices a file that is cut off.
+
+    Raises
+    ------
+    SessionError
+        If the file is missing, cut off or no image; the message names the file and what to do.
+    """
+    if path.suffix.lower() not in EXTENSIONS:
+        raise SessionError(f"{path}: expected one of {', '.join(EXTENSIONS)}, found '{path.suffix}'.")
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(8)
+            length = stream.seek(0, 2)
+            stream.seek(max(0, length - 1024))
+            _check_end(path, head, stream.read(), length)
+            stream.seek(0)
+            with Pillow.open(stream) as image:
+                return image.size
+    except FileNotFoundError as error:
+        raise SessionError(f"{path}: the image is missing. Put it back or remove its row from frames.csv.") from error
+    except (OSError, SyntaxError, ValueError, Pillow.DecompressionBombError) as error:
+        raise SessionError(f"{path}: this is not a readable image. {_COPY_AGAIN}") from error
+
+
+def _check_end(path: Path, head: bytes, tail: bytes, length: int) -> None:
+    cut = (
+        length == 0
+        or (head[:4] == b"\x89PNG" and b"IEND" not in tail[-64:])
+        or (head[:2] == b"\xff\xd8" and b"\xff\xd9" not in tail)
+        or (head[:2] == b"BM" and int.from_bytes(head[2:6], "little") > length)
+    )
+    if cut:
+        raise SessionError(f"{path}: the file is cut off ({length} bytes). {_COPY_AGAIN}")
 
 
 def read_image(path: Path) -> Image:
@@ -25,36 +67,21 @@ def read_image(path: Path) -> Image:
     Raises
     ------
     SessionError
-        If the file is missing, is cut off, or is no image; the message names the file and what to do.
+        If the file is missing, cut off, or no image; the message names the file and what to do.
     """
-    if path.suffix.lower() not in EXTENSIONS:
-        raise SessionError(f"{path}: expected one of {', '.join(EXTENSIONS)}, found '{path.suffix}'.")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise SessionError(
-            f"{path}: the image cannot be read ({error.strerror}). Put it back or remove its row."
-        ) from error
-    cut = (data[:4] == b"\x89PNG" and data[-8:] != _PNG_END) or (
-        data[:2] == b"\xff\xd8" and b"\xff\xd9" not in data[-1024:]
-    )
-    if cut:
-        raise SessionError(
-            f"{path}: the file is cut off ({len(data)} bytes). Copy it again from the camera's computer."
-        )
-    flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
-    if image is None:
-        raise SessionError(
-            f"{path}: this is not a readable image ({len(data)} bytes). Copy it again or remove its row."
-        )
+    width, height = image_size(path)
+    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None or image.shape[:2] != (height, width):
+        raise SessionError(f"{path}: the image is damaged. {_COPY_AGAIN}")
     if image.dtype not in (np.uint8, np.uint16):
-        raise SessionError(f"{path}: expected 8 or 16 bit values, found {image.dtype}.")
+        raise SessionError(f"{path}: expected 8 or 16 bit values, found {image.dtype}. Save it with 8 or 16 bit.")
     if image.ndim == 2:
         return image
+    if image.shape[2] == 1:
+        return np.ascontiguousarray(image[:, :, 0])
     return np.ascontiguousarray(image[:, :, 2::-1])
 
 
 def to_grey(image: Image) -> UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]:
     """Grey values of a colour image (Rec. 601 weights), same depth; a grey image as it is."""
-    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))

@@ -1,0 +1,310 @@
+"""The session folder: what a rig has taken and what is known about the targets.
+
+:func:`inspect_session` reads a folder and lists everything that is wrong with it; :func:`read_session` raises on errors.
+Angles are in rad from here on, lengths in mm. Nothing is ever written into a session.
+"""
+
+import csv
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rotaline.errors import SessionError
+from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.io.session_file import SESSION_FILE, MeasurementRequest, SessionFile, parse_session_file
+from rotaline.vision.images import image_size
+from rotaline.vision.targets.model import Target
+
+COLUMNS = ("image", "angle_deg", "laser", "pose")
+ROLES = ("camera", "laser-plane", "axis", "artifact", "scan")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Something wrong with a session: where, what was found, what was expected.
+
+    ``fatal``: the session cannot be processed before it is mended; otherwise the element is left out.
+    """
+
+    where: str
+    text: str
+    fatal: bool = True
+
+    def __str__(self) -> str:
+        """One line for the user."""
+        return f"{self.where}: {self.text}"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One row of ``frames.csv``; ``angle_rad`` and ``pose`` are None where they are empty."""
+
+    path: Path
+    name: str
+    angle_rad: float | None
+    laser_on: bool
+    pose: str | None
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One folder of frames in one role; ``target`` is None for a scan of a part."""
+
+    folder: str
+    role: str
+    target_name: str
+    target: Target | SteppedCylinder | None
+    frames: tuple[Frame, ...]
+
+    @property
+    def off_frames(self) -> tuple[Frame, ...]:
+        """Frames with the laser off."""
+        return tuple(f for f in self.frames if not f.laser_on)
+
+    @property
+    def on_frames(self) -> tuple[Frame, ...]:
+        """Frames with the laser on."""
+        return tuple(f for f in self.frames if f.laser_on)
+
+    def background_of(self, frame: Frame) -> Frame | None:
+        """The laser-off frame with the same angle or pose, if there is one."""
+        for off in self.off_frames:
+            same_pose = frame.pose is not None and off.pose == frame.pose
+            same_angle = frame.angle_rad is not None and off.angle_rad is not None
+            if same_pose or (same_angle and abs(frame.angle_rad - off.angle_rad) < 1e-9):  # type: ignore[operator]
+                return off
+        return None
+
+
+@dataclass(frozen=True)
+class Session:
+    """A session as read; ``image_size`` is (width, height) of all its frames."""
+
+    path: Path
+    targets: dict[str, Target | SteppedCylinder]
+    captures: tuple[Capture, ...]
+    measurements: tuple[MeasurementRequest, ...]
+    image_size: tuple[int, int]
+    problems: tuple[Problem, ...] = field(default=())
+
+    def in_role(self, role: str) -> tuple[Capture, ...]:
+        """The captures of one role, in the order of the file."""
+        return tuple(c for c in self.captures if c.role == role)
+
+
+def inspect_session(path: Path) -> tuple[Session | None, tuple[Problem, ...]]:
+    """Read a session and list all that is wrong with it.
+
+    Returns
+    -------
+    session : Session or None
+        Without the elements that are left out; None if a problem is fatal
+    problems : tuple of Problem
+    """
+    if not path.exists():
+        return None, (Problem(str(path), "there is no such folder. Expected a session: a folder with session.toml."),)
+    if not path.is_dir():
+        return None, (Problem(str(path), "this is a file; expected a session: a folder with session.toml."),)
+    if not (path / SESSION_FILE).is_file():
+        inside = "the folder is empty" if not any(path.iterdir()) else f"there is no {SESSION_FILE} in it"
+        return None, (
+            Problem(str(path), f"{inside}. A session is a folder with {SESSION_FILE} and folders of images."),
+        )
+    content, texts = parse_session_file(path / SESSION_FILE)
+    problems = [Problem(where, text, fatal) for where, text, fatal in texts]
+    if content is None:
+        return None, tuple(problems)
+    captures, sizes = _read_captures(path, content, problems)
+    if not problems or not any(p.fatal for p in problems):
+        problems += _size_problems(sizes)
+        problems += _role_problems(captures)
+        problems += _measurement_problems(content, captures)
+    if any(p.fatal for p in problems):
+        return None, tuple(problems)
+    size = Counter(sizes.values()).most_common(1)[0][0]
+    measurements = tuple(m for m in content.measurements if m.capture in {c.folder for c in captures})
+    return Session(path, content.targets, tuple(captures), measurements, size, tuple(problems)), tuple(problems)
+
+
+def read_session(path: Path) -> Session:
+    """Read a session folder.
+
+    Raises
+    ------
+    SessionError
+        With all fatal problems, one a line: file, line, field, found, expected.
+    """
+    session, problems = inspect_session(path)
+    if session is None:
+        raise SessionError("\n".join(str(p) for p in problems if p.fatal))
+    return session
+
+
+def _read_captures(
+    path: Path, content: SessionFile, problems: list[Problem]
+) -> tuple[list[Capture], dict[Path, tuple[int, int]]]:
+    captures: list[Capture] = []
+    sizes: dict[Path, tuple[int, int]] = {}
+    folders: dict[str, tuple[Frame, ...]] = {}
+    for request in content.captures:
+        if request.folder not in folders:
+            folders[request.folder] = _read_frames(path / request.folder, request.folder, sizes, problems)
+        target = content.targets.get(request.target) if request.target else None
+        captures.append(Capture(request.folder, request.role, request.target or "", target, folders[request.folder]))
+    return captures, sizes
+
+
+def _read_frames(
+    folder: Path, label: str, sizes: dict[Path, tuple[int, int]], problems: list[Problem]
+) -> tuple[Frame, ...]:
+    table = folder / "frames.csv"
+    if not folder.is_dir():
+        problems.append(Problem(f"session.toml, capture '{label}'", f"there is no folder '{label}' in the session."))
+        return ()
+    if not table.is_file():
+        problems.append(
+            Problem(str(table), f"the file is missing. Expected a table with the header {','.join(COLUMNS)}.")
+        )
+        return ()
+    try:
+        text = table.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        problems.append(Problem(str(table), f"the table cannot be read as UTF-8 text ({error})."))
+        return ()
+    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    header = [name.strip() for name in reader.fieldnames or []]
+    missing = [name for name in COLUMNS if name not in header]
+    if missing:
+        found = ",".join(header) or "nothing"
+        problems.append(
+            Problem(
+                f"{table}, line 1",
+                f"the header lacks {', '.join(missing)}; found {found}; expected {','.join(COLUMNS)}.",
+            )
+        )
+        return ()
+    reader.fieldnames = header
+    frames: list[Frame] = []
+    for row in reader:
+        frame = _read_row(folder, label, row, f"{table}, line {reader.line_num}", sizes, problems)
+        if frame is not None:
+            frames.append(frame)
+    if not frames and not any(str(folder) in p.where for p in problems):
+        problems.append(Problem(str(table), "the table lists no frames. Expected one row a frame."))
+    return tuple(frames)
+
+
+def _read_row(
+    folder: Path,
+    label: str,
+    row: dict[str, Any],
+    where: str,
+    sizes: dict[Path, tuple[int, int]],
+    problems: list[Problem],
+) -> Frame | None:
+    values = {name: (row.get(name) or "").strip() for name in COLUMNS}
+    before = len(problems)
+    image = values["image"]
+    if not image or Path(image).name != image:
+        problems.append(Problem(f"{where}, image", f"found '{image}', expected the name of a file beside frames.csv."))
+    angle: float | None = None
+    if values["angle_deg"]:
+        try:
+            angle = math.radians(float(values["angle_deg"]))
+        except ValueError:
+            angle = math.nan
+        if not math.isfinite(angle):
+            problems.append(
+                Problem(
+                    f"{where}, angle_deg",
+                    f"found '{values['angle_deg']}', expected a finite number of degrees, or nothing.",
+                )
+            )
+    if values["laser"] not in ("on", "off"):
+        problems.append(Problem(f"{where}, laser", f"found '{values['laser']}', expected 'on' or 'off'."))
+    if len(problems) > before:
+        return None
+    path = folder / image
+    try:
+        sizes[path] = image_size(path)
+    except SessionError as error:
+        text = str(error).removeprefix(f"{path}: ")
+        problems.append(Problem(f"{where}, {path}", f"{text} The frame is left out.", fatal=False))
+        return None
+    return Frame(path, f"{label}/{image}", angle, values["laser"] == "on", values["pose"] or None)
+
+
+def _size_problems(sizes: dict[Path, tuple[int, int]]) -> list[Problem]:
+    if not sizes:
+        return [Problem("session", "no image can be read. Expected at least one capture with frames.")]
+    counts = Counter(sizes.values())
+    (usual, n_usual), *others = counts.most_common()
+    problems = []
+    for size, n in others:
+        example = next(path for path, found in sizes.items() if found == size)
+        problems.append(
+            Problem(
+                str(example),
+                f"{n} image(s) of {size[0]} x {size[1]} pixels, but {n_usual} of {usual[0]} x {usual[1]}. All frames of a "
+                "session must come from one camera at one resolution: put the others into a session of their own.",
+            )
+        )
+    if min(usual) < 32:
+        problems.append(
+            Problem(
+                "session",
+                f"the images are {usual[0]} x {usual[1]} pixels; nothing can be measured in them (at least 32 x 32).",
+            )
+        )
+    return problems
+
+
+def _role_problems(captures: list[Capture]) -> list[Problem]:
+    problems: list[Problem] = []
+    if not captures:
+        problems.append(
+            Problem("session.toml", "there are no [[captures]]. Expected at least one with folder and role.")
+        )
+    for capture in captures:
+        where = f"capture '{capture.folder}' ({capture.role})"
+        if not capture.frames:
+            problems.append(Problem(where, "no frame of it can be used: nothing to do in this capture.", fatal=False))
+            continue
+        if capture.role in ("camera", "axis") and not capture.off_frames:
+            problems.append(Problem(where, "it has no laser-off frames, but only those count in this role."))
+        if capture.role in ("laser-plane", "artifact", "scan") and not capture.on_frames:
+            problems.append(
+                Problem(
+                    where, "it has no laser-on frames, but this role needs the stripe. Set laser to 'on' in frames.csv."
+                )
+            )
+        counted = capture.off_frames if capture.role == "axis" else capture.on_frames
+        if capture.role in ("axis", "artifact", "scan"):
+            bare = [f.name for f in counted if f.angle_rad is None]
+            if bare:
+                problems.append(
+                    Problem(
+                        where,
+                        f"{len(bare)} frame(s) without angle_deg, the first is {bare[0]}. This role needs the table's angle.",
+                    )
+                )
+        if len(counted) == 1 and capture.role in ("axis", "artifact", "scan"):
+            problems.append(Problem(where, "it has one frame only; a turn needs many.", fatal=False))
+        repeated = [name for name, n in Counter(f.name for f in capture.frames).items() if n > 1]
+        if repeated:
+            problems.append(Problem(where, f"{repeated[0]} is listed more than once in frames.csv.", fatal=False))
+    return problems
+
+
+def _measurement_problems(content: SessionFile, captures: list[Capture]) -> list[Problem]:
+    scanned = {c.folder for c in captures if c.role in ("scan", "artifact")}
+    return [
+        Problem(
+            f"session.toml, measurement of '{m.capture}'",
+            f"there is no scan capture '{m.capture}'; there is {', '.join(sorted(scanned)) or 'none'}.",
+        )
+        for m in content.measurements
+        if m.capture not in scanned
+    ]
