@@ -28,6 +28,7 @@ CONFIDENCE = 0.999
 MAX_HYPOTHESES = 4096
 BLOCK = 128
 MAX_SCORED = 4000
+FIRST_SCORED = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +96,10 @@ def fit_plane_robust(
         plane, _ = ransac_plane(points, threshold, rng)
     inliers = np.zeros(len(points), dtype=bool)
     least = 1e-12 * float(np.abs(points).max())
+    limit = 0.0 if threshold is None else threshold
     for _ in range(30):
         distances = np.abs(plane.signed_distance_to(points))
-        limit = threshold
-        if limit is None:
+        if threshold is None:
             # First the scale of all, then of those near the plane: the median of all is too wide when many are outliers.
             kept = distances[distances <= max(4.45 * float(np.median(distances)), least)]
             limit = max(4.45 * float(np.median(kept)), least)
@@ -114,7 +115,7 @@ def fit_plane_robust(
         plane = fit.plane
         if same:
             break
-    return RobustPlaneFit(fit, inliers, float(limit))
+    return RobustPlaneFit(fit, inliers, limit)
 
 
 def ransac_line_2d(
@@ -330,6 +331,10 @@ def _ransac(
         models = models[np.all(np.isfinite(models), axis=1)]
         if len(models) == 0:
             continue
+        if len(scored) > 4 * FIRST_SCORED:
+            # Most hypotheses are poor, and a few points show that.
+            rough = np.sum(np.minimum(score(models, scored[:FIRST_SCORED]), threshold) ** 2, axis=1)
+            models = models[np.argsort(rough)[:16]]
         residuals = score(models, scored)
         costs = np.sum(np.minimum(residuals, threshold) ** 2, axis=1)
         first = int(np.argmin(costs))
@@ -362,8 +367,8 @@ def _require(points: np.ndarray, n_needed: int, shape: str) -> None:
 
 
 def _some(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Indices on which hypotheses are scored."""
-    return np.arange(n) if n <= MAX_SCORED else rng.choice(n, MAX_SCORED, replace=False)
+    """Indices on which hypotheses are scored, in random order."""
+    return rng.permutation(n) if n <= MAX_SCORED else rng.choice(n, MAX_SCORED, replace=False)
 
 
 def _samples(n: int, n_sample: int, count: int, rng: np.random.Generator) -> np.ndarray:
