@@ -80,7 +80,7 @@ class Rig:
     turn_sense: int = 1
     ambient_dn: float = 190.0
     ambient_laser_dn: float = 3.0
-    table_radius_mm: float = 60.0
+    table_radius_mm: float = 90.0
 
     def base_from_table(self, angle_deg: float) -> RigidTransform:
         """Where the table stands when the session's angle is ``angle_deg``."""

@@ -1,0 +1,329 @@
+"""What a rendered session holds: its captures frame by frame, as values; and two plans that are used.
+
+A plan is complete before anything is rendered: the same plan and rig always give the same session.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rotaline.geometry.primitives import SteppedCylinder, unit
+from rotaline.simulation.boards import Plate
+from rotaline.simulation.render import Placed
+from rotaline.simulation.rig import Rig
+from rotaline.simulation.shapes import Ball, GrooveBlock, Rod, Shape, SteppedRod
+from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
+
+IMAGE_FORMATS = ("png", "jpg", "bmp", "tiff")
+
+CHECKERBOARD = Checkerboard((14, 9), 6.0)
+DOTS = DotGrid((9, 9), 7.5, 4.0)
+STEPPED_CYLINDER = SteppedCylinder(23.051, 36.006, 22.003, 25.005)
+BALL = Ball(28.475)
+ROD = Rod(38.004, 40.0)
+GROOVE = GrooveBlock(46.0, 32.0, 24.0, 12.003, 22.0, 12.0)
+
+_ATTEMPTS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One frame: what stands where, and how it is lit.
+
+    ``on_table`` turns with the table, ``held`` stands still (``base`` frame). ``angle_deg`` None: the table plays no part.
+    """
+
+    laser: bool
+    ambient_dn: float
+    angle_deg: float | None = None
+    pose: str = ""
+    on_table: tuple[Placed, ...] = ()
+    held: tuple[Placed, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class CapturePlan:
+    """A folder of frames."""
+
+    folder: str
+    role: str
+    target: str | None
+    shots: tuple[Shot, ...]
+
+
+@dataclass(frozen=True)
+class MeasurementPlan:
+    """An entry of ``[[measurements]]``; ``reference`` in mm."""
+
+    capture: str
+    feature: str
+    reference: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class SessionPlan:
+    """A whole session; ``seed`` fixes the noise of every frame."""
+
+    targets: Mapping[str, Target | SteppedCylinder]
+    captures: tuple[CapturePlan, ...]
+    measurements: tuple[MeasurementPlan, ...] = ()
+    image_format: str = "png"
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse formats that are not written."""
+        if self.image_format not in IMAGE_FORMATS:
+            raise ValueError(f"image_format must be one of {', '.join(IMAGE_FORMATS)}, not {self.image_format!r}.")
+
+
+def mount(
+    x_mm: float, y_mm: float, turn_deg: float = 0.0, tilt_deg: float = 0.0, tilt_towards_deg: float = 0.0
+) -> RigidTransform:
+    """``table_from_part`` of a part that stands off centre, turned about its own axis and tilted towards a direction."""
+    towards = np.radians(tilt_towards_deg)
+    tilt = Rotation.from_rotvec(np.radians(tilt_deg) * np.array([-np.sin(towards), np.cos(towards), 0.0]))
+    turn = Rotation.from_rotvec([0.0, 0.0, np.radians(turn_deg)])
+    return RigidTransform.from_components([x_mm, y_mm, 0.0], tilt * turn)
+
+
+def table_disc(rig: Rig) -> Placed:
+    """The turntable's dark top, z = 0."""
+    return Placed(Rod(2 * rig.table_radius_mm, 8.0, -8.0, 0.35), RigidTransform.identity())
+
+
+def _in_view(rig: Rig, plate: Plate, camera_from_board: RigidTransform, margin_px: float = 6.0) -> bool:
+    x0, x1, y0, y1 = plate.extent
+    corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
+    uv = rig.camera.project(camera_from_board.apply(corners))
+    limit = np.array(rig.camera.image_size) - 1 - margin_px
+    return bool(np.all(uv > margin_px) and np.all(uv < limit))
+
+
+def _facing(direction: np.ndarray, up: np.ndarray, roll_rad: float) -> Rotation:
+    """Orientation of a board whose front looks along ``direction``, its top towards ``up``, then turned in its plane."""
+    z = -unit(direction)
+    y = unit(-up + (up @ z) * z)
+    return Rotation.from_matrix(np.column_stack([np.cross(y, z), y, z])) * Rotation.from_rotvec([0.0, 0.0, roll_rad])
+
+
+def _board_at(centre: np.ndarray, rotation: Rotation, plate: Plate) -> RigidTransform:
+    return RigidTransform.from_components(centre - rotation.apply(plate.centre_board()), rotation)
+
+
+def _poses_that_fit(
+    n: int, draw: Callable[[], RigidTransform], fits: Callable[[RigidTransform], bool], what: str
+) -> list[RigidTransform]:
+    poses: list[RigidTransform] = []
+    for _ in range(_ATTEMPTS):
+        if len(poses) == n:
+            break
+        pose = draw()
+        if fits(pose):
+            poses.append(pose)
+    if len(poses) < n:
+        raise ValueError(f"Only {len(poses)} of {n} poses of the {what} fit into the view; make it smaller.")
+    return poses
+
+
+def camera_capture(rig: Rig, target: Target, name: str, n_views: int, seed: int, folder: str = "camera") -> CapturePlan:
+    """Views of a target all over the image, tilted up to 40 deg towards all sides, wholly in view."""
+    rng = np.random.default_rng([seed, 1])
+    plate = Plate(target)
+    depth = float(np.linalg.norm(rig.camera_from_base.translation))
+    half_view = np.array(rig.camera.image_size) / 2 / rig.camera.fx * depth
+
+    def draw() -> RigidTransform:
+        towards, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(12, 40))
+        tilted = Rotation.from_rotvec(tilt * np.array([np.cos(towards), np.sin(towards), 0.0]))
+        rotation = tilted * Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+        centre = np.array([*(rng.uniform(-0.5, 0.5, 2) * half_view), depth * rng.uniform(0.92, 1.1)])
+        return _board_at(centre, rotation, plate)
+
+    poses = _poses_that_fit(n_views, draw, lambda pose: _in_view(rig, plate, pose), "target")
+    base_from_camera = rig.camera_from_base.inv()
+    shots = tuple(Shot(False, rig.ambient_dn, held=(Placed(plate, base_from_camera * pose),)) for pose in poses)
+    return CapturePlan(folder, "camera", name, shots)
+
+
+def laser_capture(
+    rig: Rig,
+    target: Target,
+    name: str,
+    n_poses: int,
+    seed: int,
+    *,
+    ambient_laser_dn: float | None = None,
+    folder: str = "laser",
+) -> CapturePlan:
+    """Poses of a target in the laser sheet, each with the laser off and on; ``ambient_laser_dn`` above 50 keeps it visible."""
+    rng = np.random.default_rng([seed, 2])
+    plate = Plate(target)
+    camera_base = np.asarray(rig.camera_from_base.inv().translation)
+    along = unit(np.cross(rig.laser.plane_base.normal, [0.0, 0.0, 1.0]))
+    across = unit(np.cross(along, rig.laser.plane_base.normal))
+    on = rig.ambient_laser_dn if ambient_laser_dn is None else ambient_laser_dn
+
+    def draw() -> RigidTransform:
+        foot = -rig.laser.plane_base.offset * rig.laser.plane_base.normal
+        centre = foot + rng.uniform(-30, 30) * along + rng.uniform(2, 42) * across
+        front = unit(unit(camera_base - centre) + 0.7 * unit(rig.laser.position_base - centre))
+        front = unit(front + rng.normal(0.0, 0.25, 3))
+        return _board_at(centre, _facing(front, np.array([0.0, 0.0, 1.0]), rng.uniform(-0.3, 0.3)), plate)
+
+    def fits(base_from_board: RigidTransform) -> bool:
+        centre = base_from_board.apply(plate.centre_board()[None])[0]
+        front = -base_from_board.rotation.as_matrix()[:, 2]
+        lit = front @ unit(rig.laser.position_base - centre) > 0.4 and front @ unit(camera_base - centre) > 0.6
+        return bool(lit) and _in_view(rig, plate, rig.camera_from_base * base_from_board)
+
+    poses = _poses_that_fit(n_poses, draw, fits, "target in the laser sheet")
+    shots = [
+        Shot(laser, on if laser else rig.ambient_dn, pose=str(i), held=(Placed(plate, pose),))
+        for i, pose in enumerate(poses)
+        for laser in (False, True)
+    ]
+    return CapturePlan(folder, "laser-plane", name, tuple(shots))
+
+
+def axis_capture(
+    rig: Rig, target: Target, name: str, angles_deg: tuple[float, ...], folder: str = "axis"
+) -> CapturePlan:
+    """A target that stands on the table, leaning back; in the middle of the turn it faces the camera."""
+    plate = Plate(target)
+    camera_base = np.asarray(rig.camera_from_base.inv().translation)
+    azimuth = np.arctan2(camera_base[1], camera_base[0])
+    lean = np.radians(30.0)
+    front = np.array([np.cos(azimuth) * np.cos(lean), np.sin(azimuth) * np.cos(lean), np.sin(lean)])
+    _, _, y0, y1 = plate.extent
+    centre = np.array([0.0, 0.0, (y1 - y0) / 2 * np.cos(lean) + 0.5]) + 4.0 * np.array(
+        [np.cos(azimuth), np.sin(azimuth), 0.0]
+    )
+    base_from_board = _board_at(centre, _facing(front, np.array([0.0, 0.0, 1.0]), 0.03), plate)
+    middle = (min(angles_deg) + max(angles_deg)) / 2
+    board = Placed(plate, rig.base_from_table(middle).inv() * base_from_board)
+    shots = tuple(
+        Shot(False, rig.ambient_dn, angle_deg=angle, on_table=(board, table_disc(rig))) for angle in angles_deg
+    )
+    return CapturePlan(folder, "axis", name, shots)
+
+
+def scan_capture(
+    rig: Rig,
+    shape: Shape,
+    table_from_part: RigidTransform,
+    angles_deg: tuple[float, ...],
+    *,
+    folder: str,
+    role: str = "scan",
+    target: str | None = None,
+) -> CapturePlan:
+    """A part on the table, laser on, one frame an angle."""
+    parts = (Placed(shape, table_from_part), table_disc(rig))
+    shots = tuple(Shot(True, rig.ambient_laser_dn, angle_deg=angle, on_table=parts) for angle in angles_deg)
+    return CapturePlan(folder, role, target, shots)
+
+
+def full_turn(n_frames: int) -> tuple[float, ...]:
+    """Equal steps over a full turn, deg."""
+    return tuple(360.0 * i / n_frames for i in range(n_frames))
+
+
+def shuffled_turn(n_frames: int, seed: int) -> tuple[float, ...]:
+    """A full turn in uneven steps and mixed order, as ``angle_deg`` may come, deg."""
+    rng = np.random.default_rng([seed, 3])
+    angles = (np.arange(n_frames) + rng.uniform(-0.35, 0.35, n_frames)) * 360.0 / n_frames
+    return tuple(float(a) for a in np.round(rng.permutation(angles), 4))
+
+
+def _stepped(rig: Rig, folder: str, pose: RigidTransform, angles_deg: tuple[float, ...]) -> CapturePlan:
+    shape = SteppedRod(STEPPED_CYLINDER)
+    return scan_capture(rig, shape, pose, angles_deg, folder=folder, role="artifact", target="stepped-cylinder")
+
+
+_SCANS: tuple[tuple[str, Shape, str, RigidTransform, str], ...] = (
+    ("ball", BALL, "sphere", mount(3.1, -1.2), "diameter"),
+    ("rod", ROD, "cylinder", mount(-2.4, 0.8, tilt_deg=0.02, tilt_towards_deg=70.0), "diameter"),
+    ("groove", GROOVE, "groove", mount(0.9, 1.6, turn_deg=34.0), "depth"),
+)
+_TARGETS: dict[str, Target | SteppedCylinder] = {
+    "checkerboard": CHECKERBOARD,
+    "dots": DOTS,
+    "stepped-cylinder": STEPPED_CYLINDER,
+}
+
+
+def demo_plan(rig: Rig, seed: int = 1) -> SessionPlan:
+    """The session of ``make demo``: every stage of the chain, as few frames as give good results."""
+    turn = full_turn(40)
+    captures = [
+        camera_capture(rig, CHECKERBOARD, "checkerboard", 14, seed),
+        laser_capture(rig, DOTS, "dots", 8, seed),
+        axis_capture(rig, CHECKERBOARD, "checkerboard", tuple(4.0 * i for i in range(11))),
+        _stepped(rig, "stepped-1", mount(0.3, 0.4, tilt_deg=0.02), turn),
+        _stepped(rig, "stepped-2", mount(-4.1, 2.9, tilt_deg=0.015, tilt_towards_deg=120.0), turn),
+        *(
+            scan_capture(rig, shape, pose, full_turn(36), folder=folder, target=folder)
+            for folder, shape, _, pose, _ in _SCANS
+        ),
+    ]
+    measurements = tuple(
+        MeasurementPlan(folder, feature, {key: shape.sizes()[key]}) for folder, shape, feature, _, key in _SCANS
+    )
+    return SessionPlan(_TARGETS, tuple(captures), measurements, seed=seed)
+
+
+def small_plan(
+    rig: Rig,
+    *,
+    captures: tuple[str, ...] = ("camera", "laser", "axis", "stepped", "ball"),
+    shuffled: bool = False,
+    plate_visible: bool = False,
+    image_format: str = "png",
+    seed: int = 1,
+) -> SessionPlan:
+    """A session for tests: few frames, only the captures that are asked for.
+
+    Parameters
+    ----------
+    rig : Rig
+    captures : of "camera", "laser", "axis", "stepped" (one mount, 5 mm off centre), "ball", "rod", "groove"
+    shuffled : uneven angles in mixed order
+    plate_visible : the dot plate can be seen in its laser-on frames
+    image_format : one of ``IMAGE_FORMATS``
+    seed : of poses, angles and noise
+    """
+
+    def turn(n: int) -> tuple[float, ...]:
+        return shuffled_turn(n, seed) if shuffled else full_turn(n)
+
+    axis_angles = tuple(5.0 * i for i in range(9))
+    ambient_laser_dn = 0.4 * rig.ambient_dn if plate_visible else None
+    makers: dict[str, Callable[[], CapturePlan]] = {
+        "camera": lambda: camera_capture(rig, CHECKERBOARD, "checkerboard", 10, seed),
+        "laser": lambda: laser_capture(rig, DOTS, "dots", 5, seed, ambient_laser_dn=ambient_laser_dn),
+        "axis": lambda: axis_capture(rig, CHECKERBOARD, "checkerboard", axis_angles),
+        "stepped": lambda: _stepped(rig, "stepped", mount(-4.1, 2.9), turn(16)),
+    }
+    measurements = []
+    for folder, shape, feature, pose, key in _SCANS:
+        makers[folder] = lambda folder=folder, shape=shape, pose=pose: scan_capture(  # type: ignore[misc]
+            rig, shape, pose, turn(16), folder=folder, target=folder
+        )
+        if folder in captures:
+            measurements.append(MeasurementPlan(folder, feature, {key: shape.sizes()[key]}))
+    unknown = [name for name in captures if name not in makers]
+    if unknown:
+        raise ValueError(f"Unknown captures {unknown}; there are {list(makers)}.")
+    plans = tuple(makers[name]() for name in captures)
+    return SessionPlan(_TARGETS, plans, tuple(measurements), image_format, seed)
+
+
+def with_ambient(plan: SessionPlan, folder: str, ambient_dn: float) -> SessionPlan:
+    """The same plan with another ambient light in one folder."""
+    captures = tuple(
+        replace(c, shots=tuple(replace(s, ambient_dn=ambient_dn) for s in c.shots)) if c.folder == folder else c
+        for c in plan.captures
+    )
+    return replace(plan, captures=captures)
