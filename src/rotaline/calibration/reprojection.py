@@ -13,6 +13,7 @@ References
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -139,7 +140,8 @@ def get_parameters(camera: CameraModel, names: Sequence[str]) -> Float[np.ndarra
 
 def set_parameters(camera: CameraModel, names: Sequence[str], values: Float[np.ndarray, " p"]) -> CameraModel:
     """The camera with the named parameters replaced."""
-    return replace(camera, **{name: float(value) for name, value in zip(names, values, strict=True)})
+    changes: dict[str, Any] = {name: float(value) for name, value in zip(names, values, strict=True)}
+    return replace(camera, **changes)
 
 
 def reprojection_residuals(
@@ -163,7 +165,7 @@ def refine_pose(
     fit = refine_bundle(camera, [camera_from_board], [observation], ())
     _, _, by_pose = projection_jacobians(camera, fit.poses[0], observation.points_board)
     weighted = (by_pose * observation.weights[:, None, None])[observation.weights > 0].reshape(-1, 6)
-    return fit.poses[0], fit.cost, np.linalg.qr(np.nan_to_num(weighted), mode="r")
+    return fit.poses[0], fit.cost, np.asarray(np.linalg.qr(np.nan_to_num(weighted), mode="r"))
 
 
 def refine_bundle(
@@ -222,7 +224,7 @@ def refine_bundle(
     gradients = np.array([rest[:, :p].T @ rest[:, p] for rest in rests]).reshape(len(views), p)
     stacked = [rest[:, :p] for rest in rests] + ([prior.rows] if prior is not None else [])
     padded = np.vstack([*stacked, np.zeros((p, p))])
-    information = np.linalg.qr(padded, mode="r") if p else np.zeros((0, 0))
+    information = np.asarray(np.linalg.qr(padded, mode="r")) if p else np.zeros((0, 0))
     return BundleFit(state, tuple(current_poses), float(cost), information, gradients, blocks, converged)
 
 
@@ -263,7 +265,7 @@ def _eliminate_pose(view: _View, damping: float) -> tuple[Float[np.ndarray, "6 q
     system = np.hstack([view.by_pose, view.by_camera, view.residuals[:, None]])
     scale = np.linalg.norm(view.by_pose, axis=0)
     damped = np.hstack([np.diag(np.sqrt(damping) * scale), np.zeros((6, p + 1))])
-    factor = np.linalg.qr(np.vstack([system, damped]), mode="r")
+    factor = np.asarray(np.linalg.qr(np.vstack([system, damped]), mode="r"))
     return factor[:6], factor[6:, 6:]
 
 
