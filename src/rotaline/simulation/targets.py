@@ -2,15 +2,17 @@
 
 Every pixel is traced back: through the inverse of the lens distortion to a viewing ray, along the ray to the plate, and there
 the print is looked up. Pixels that no edge of the print comes near take one sample, the others ``samples`` x ``samples``.
-Within a pixel the map to the plate is taken as linear, which is exact to 1e-5 px for real lenses.
+Blur belongs into this integration (``blur_px``): blurring the finished picture cannot undo the aliasing of sharp edges, which
+shifts centres by about 0.01 px. Within a pixel the map to the plate is taken as linear, which is exact to 1e-5 px for real lenses.
 """
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.transform import RigidTransform
+from scipy.special import ndtr
 
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target
@@ -18,7 +20,7 @@ from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, T
 
 @dataclass(frozen=True, eq=False)
 class TargetPicture:
-    """A rendered plate before blur, noise and digitisation.
+    """A rendered plate before noise and digitisation.
 
     Attributes
     ----------
@@ -57,13 +59,47 @@ def plate_size(target: Target, margin: float | None = None) -> tuple[float, floa
     return -rim, -rim, (columns - 1) * p + rim, (rows - 1) * p + rim
 
 
-def _squares_dark(
-    columns: int, rows: int, x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"]
-) -> Bool[np.ndarray, " m"]:
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Small cells of a pixel: their centres, how wide they are and how far the blur reaches, in one unit of length."""
+
+    xy: Float[np.ndarray, "m 2"]
+    width: Float[np.ndarray, "m 2"]
+    blur: Float[np.ndarray, "m 2"] | None
+
+    def scaled(self, unit: float) -> "_Cells":
+        return _Cells(self.xy / unit, self.width / unit, None if self.blur is None else self.blur / unit)
+
+    def beyond(self, distance: Float[np.ndarray, " m"], axis: int) -> Float[np.ndarray, " m"]:
+        """Part of each cell (0 to 1) on the positive side of a straight edge across the axis, after blur."""
+        return self._step(distance, self.width[:, axis], None if self.blur is None else self.blur[:, axis])
+
+    def beyond_along(
+        self, distance: Float[np.ndarray, " m"], direction: Float[np.ndarray, "m 2"]
+    ) -> Float[np.ndarray, " m"]:
+        """The same for an edge whose normal is ``direction``."""
+        blur = None if self.blur is None else np.linalg.norm(direction * self.blur, axis=1)
+        return self._step(distance, np.linalg.norm(direction * self.width, axis=1), blur)
+
+    @staticmethod
+    def _step(
+        distance: Float[np.ndarray, " m"], width: Float[np.ndarray, " m"], blur: Float[np.ndarray, " m"] | None
+    ) -> Float[np.ndarray, " m"]:
+        if blur is None:
+            return np.clip(distance / width + 0.5, 0.0, 1.0)
+        return np.asarray(ndtr(distance / np.sqrt(blur**2 + width**2 / 12)))
+
+
+def _squares_dark(columns: int, rows: int, cells: _Cells) -> Float[np.ndarray, " m"]:
     """Print of a checkerboard in units of its pitch; (0, 0) is the first inner corner, the square before it is dark."""
-    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
-    inside = (i >= -1) & (i < columns) & (j >= -1) & (j < rows)
-    return inside & ((i + j) % 2 == 0)
+    nearest = np.round(cells.xy)
+    sign = 1 - 2 * np.mod(nearest, 2)
+    beyond = cells.xy - nearest
+    wave = [sign[:, axis] * (2 * cells.beyond(beyond[:, axis], axis) - 1) for axis in (0, 1)]
+    dark = (1.0 + wave[0] * wave[1]) / 2
+    for axis, count in ((0, columns), (1, rows)):
+        dark *= cells.beyond(cells.xy[:, axis] + 1, axis) * cells.beyond(count - cells.xy[:, axis], axis)
+    return dark
 
 
 def _marker_bits(target: CharucoBoard) -> Int[np.ndarray, "k n n"]:
@@ -76,11 +112,15 @@ def _marker_bits(target: CharucoBoard) -> Int[np.ndarray, "k n n"]:
 
 
 def _charuco_dark(
-    target: CharucoBoard, bits: Int[np.ndarray, "k n n"], x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"]
-) -> Bool[np.ndarray, " m"]:
+    target: CharucoBoard,
+    bits: Int[np.ndarray, "k n n"],
+    places: _Cells,
+) -> Float[np.ndarray, " m"]:
     columns, rows = target.squares
-    dark = _squares_dark(columns - 1, rows - 1, x, y)
-    i, j = np.floor(x).astype(int) + 1, np.floor(y).astype(int) + 1
+    xy = places.xy
+    dark = _squares_dark(columns - 1, rows - 1, places)
+    square = np.floor(xy).astype(int)
+    i, j = square[:, 0] + 1, square[:, 1] + 1
     number = np.full((rows, columns), -1)
     light = (np.add.outer(np.arange(rows), np.arange(columns)) % 2) == 1
     number[light] = np.arange(light.sum())
@@ -88,11 +128,17 @@ def _charuco_dark(
     marker = np.where(inside, number[np.clip(j, 0, rows - 1), np.clip(i, 0, columns - 1)], -1)
     cells = bits.shape[1]
     side = target.marker / target.pitch
-    a = np.floor((x - np.floor(x) - (1 - side) / 2) / side * cells).astype(int)
-    b = np.floor((y - np.floor(y) - (1 - side) / 2) / side * cells).astype(int)
-    on = (marker >= 0) & (a >= 0) & (a < cells) & (b >= 0) & (b < cells)
-    dark[on] = bits[marker[on], b[on], a[on]] == 1
+    cell = np.floor((xy - square - (1 - side) / 2) / side * cells).astype(int)
+    on = (marker >= 0) & np.all((cell >= 0) & (cell < cells), axis=1)
+    dark[on] = bits[marker[on], cell[on, 1], cell[on, 0]]
     return dark
+
+
+def _dots_dark(target: DotGrid, cells: _Cells) -> Float[np.ndarray, " m"]:
+    from_centre = cells.xy - np.clip(np.round(cells.xy), 0, np.array(target.dots) - 1)
+    radius = np.linalg.norm(from_centre, axis=1)
+    direction = from_centre / np.maximum(radius, 1e-12)[:, None]
+    return cells.beyond_along((target.diameter or 0.5 * target.pitch) / 2 / target.pitch - radius, direction)
 
 
 def _edge_distance(
@@ -126,7 +172,8 @@ def render_target(
     white: float = 170.0,
     black: float = 15.0,
     margin: float | None = None,
-    samples: int = 6,
+    blur_px: float = 0.0,
+    samples: int = 4,
     rays: Float[np.ndarray, "h w 2"] | None = None,
 ) -> TargetPicture:
     """Render a posed target.
@@ -138,12 +185,13 @@ def render_target(
     target : Target   a dot without a stated diameter is drawn half a pitch wide
     white, black : float   grey values of plate and print (swap them for light dots on a dark plate)
     margin : float or None   rim of the plate outside the print, mm; see :func:`plate_size`
-    samples : int   samples a pixel and direction near edges
+    blur_px : float   blur of the lens, standard deviation in px; it acts before the pixels do, as in a camera
+    samples : int   cells a pixel and direction near edges
     rays : (h, w, 2) or None   :func:`pixel_rays` of this camera, to share them between pictures
 
     Returns
     -------
-    TargetPicture   without blur, noise and shading; all zero where the plate is out of view or seen from behind
+    TargetPicture   without noise and shading; all zero where the plate is out of view or seen from behind
     """
     width, height = camera.image_size
     grey, coverage = np.zeros((height, width)), np.zeros((height, width))
@@ -176,42 +224,42 @@ def render_target(
             :, 2, None, None
         ]
         board_per_px = slope @ jacobian
-        footprint = 0.75 * np.linalg.norm(board_per_px, axis=(1, 2))
+        footprint = (0.75 + 4.0 * blur_px) * np.linalg.norm(board_per_px, axis=(1, 2))
         seen = (homogeneous[:, 2] > 0) & np.all(np.isfinite(board), axis=1)
         seen &= (board[:, 0] > edges[0] - footprint) & (board[:, 0] < edges[2] + footprint)
         seen &= (board[:, 1] > edges[1] - footprint) & (board[:, 1] < edges[3] + footprint)
     indices = np.flatnonzero(seen)
     bits = _marker_bits(target) if isinstance(target, CharucoBoard) else np.zeros((1, 1, 1), dtype=int)
 
-    def look_up(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        inside = (x >= edges[0]) & (x <= edges[2]) & (y >= edges[1]) & (y <= edges[3])
-        a, b = x / target.pitch, y / target.pitch
+    def look_up(cells: _Cells) -> tuple[np.ndarray, np.ndarray]:
+        part = cells.beyond(cells.xy[:, 0] - edges[0], 0) * cells.beyond(edges[2] - cells.xy[:, 0], 0)
+        part *= cells.beyond(cells.xy[:, 1] - edges[1], 1) * cells.beyond(edges[3] - cells.xy[:, 1], 1)
+        scaled = cells.scaled(target.pitch)
         match target:
             case Checkerboard():
-                dark = _squares_dark(*target.grid_size, a, b)
+                dark = _squares_dark(*target.grid_size, scaled)
             case CharucoBoard():
-                dark = _charuco_dark(target, bits, a, b)
+                dark = _charuco_dark(target, bits, scaled)
             case DotGrid():
-                i = np.clip(np.round(a), 0, target.dots[0] - 1)
-                j = np.clip(np.round(b), 0, target.dots[1] - 1)
-                dark = np.hypot(a - i, b - j) * target.pitch <= (target.diameter or 0.5 * target.pitch) / 2
-        return inside, np.where(dark, black, white)
+                dark = _dots_dark(target, scaled)
+        return part, white + (black - white) * dark
 
-    x, y = board[indices, 0], board[indices, 1]
-    near = _edge_distance(target, edges, x, y) < footprint[indices]
-    weight, value = look_up(x, y)
-    weight, value = weight.astype(float), value.astype(float)
-    offsets = (np.arange(samples) + 0.5) / samples - 0.5
+    near = _edge_distance(target, edges, board[indices, 0], board[indices, 1]) < footprint[indices]
+    weight, value = look_up(_Cells(board[indices], np.full((len(indices), 2), 1e-9), None))
     fine = indices[near]
+    mm_per_px = np.linalg.norm(board_per_px[fine], axis=2)
+    blur = mm_per_px * blur_px if blur_px > 0 else None
+    offsets = (np.arange(samples) + 0.5) / samples - 0.5
     total_weight, total_value = np.zeros(len(fine)), np.zeros(len(fine))
     for dv in offsets:
         for du in offsets:
-            step = board_per_px[fine] @ np.array([du, dv])
-            inside, sample = look_up(board[fine, 0] + step[:, 0], board[fine, 1] + step[:, 1])
-            total_weight += inside
-            total_value += inside * sample
+            part, sample = look_up(
+                _Cells(board[fine] + board_per_px[fine] @ np.array([du, dv]), mm_per_px / samples, blur)
+            )
+            total_weight += part
+            total_value += part * sample
     weight[near] = total_weight / samples**2
-    value[near] = np.where(total_weight > 0, total_value / np.maximum(total_weight, 1), 0.0)
+    value[near] = np.where(total_weight > 0, total_value / np.maximum(total_weight, 1e-12), 0.0)
     flat_grey, flat_coverage = np.zeros(len(xy)), np.zeros(len(xy))
     flat_grey[indices] = value * (weight > 0)
     flat_coverage[indices] = weight
