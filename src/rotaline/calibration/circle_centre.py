@@ -11,7 +11,7 @@ References
 .. [1] Li et al., Sensors 2026, 26(13), 4275, eq. (8)-(10)
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -31,6 +31,13 @@ class CircleFits:
     normals: Float[np.ndarray, "m 3"]
     radii_mm: Float[np.ndarray, " m"]
     rms_mm: Float[np.ndarray, " m"]
+
+    def distances(self, positions: Float[np.ndarray, "f m 3"]) -> Float[np.ndarray, "f m"]:
+        """Distance of each position from the circle of its point, mm; NaN where there is none."""
+        arms = positions - self.centres
+        along = np.sum(arms * self.normals, axis=2)
+        radial = np.linalg.norm(np.cross(arms, self.normals), axis=2) - self.radii_mm
+        return np.hypot(radial, along)
 
 
 def fit_circles_by_chords(positions: Float[np.ndarray, "f m 3"]) -> CircleFits:
@@ -71,19 +78,17 @@ def fit_circles_by_chords(positions: Float[np.ndarray, "f m 3"]) -> CircleFits:
     r = np.where(enough[:, None, None], r, np.eye(3))
     centres_local = np.linalg.solve(r, np.einsum("mij,mi->mj", q, right_side)[..., None])[..., 0]
 
-    arms = local - centres_local
-    along = np.einsum("fmi,mi->fm", arms, normals)
-    radial = np.linalg.norm(arms - along[..., None] * normals, axis=2)
-    count = np.maximum(n_seen, 1)
-    radii = np.where(seen, radial, 0.0).sum(axis=0) / count
-    squares = np.where(seen, (radial - radii) ** 2 + along**2, 0.0)
     nan = np.where(enough, 0.0, np.nan)
-    return CircleFits(
+    radial = np.linalg.norm(np.cross(positions - mean - centres_local, normals), axis=2)
+    count = np.maximum(n_seen, 1)
+    fits = CircleFits(
         centres=centres_local + mean + nan[:, None],
         normals=normals + nan[:, None],
-        radii_mm=radii + nan,
-        rms_mm=np.sqrt(squares.sum(axis=0) / count) + nan,
+        radii_mm=np.where(seen, radial, 0.0).sum(axis=0) / count + nan,
+        rms_mm=nan,
     )
+    squares = np.where(seen, fits.distances(positions) ** 2, 0.0)
+    return replace(fits, rms_mm=np.sqrt(squares.sum(axis=0) / count))
 
 
 def _chords(
