@@ -62,7 +62,7 @@ def find_turntable_motion(
     chosen = None
     for scaled in (False, True):
         for i, j in _pairs(angles_rad):
-            step = _wrap(angles_rad[j] - angles_rad[i])
+            step = float(_wrap(angles_rad[j] - angles_rad[i]))
             for turn in matrices_of[j] @ matrices_of[i][0].T:
                 vector = Rotation.from_matrix(turn).as_rotvec()
                 measured = float(np.linalg.norm(vector))
