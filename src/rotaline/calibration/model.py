@@ -27,7 +27,10 @@ class TargetView:
 
 @dataclass(frozen=True, eq=False)
 class CameraView:
-    """One view in the camera calibration; ``reason`` says why it was left out (empty if used)."""
+    """One view in the camera calibration; ``reason`` says why it was left out (empty if used).
+
+    ``residuals_px`` are observed minus projected; rows of points that were left out of a used view are NaN.
+    """
 
     name: str
     used: bool
@@ -90,7 +93,8 @@ class CrossRatioResult:
 
     One entry per interval: ``view`` indexes ``names``, ``row`` is the first of the two dot rows (or columns).
     ``accepted`` is False, with the reason, where the optimised plane is not better; then ``plane_camera`` is the one
-    that came in. ``history_mm`` is the objective (7) after each iteration.
+    that came in, while ``measured_after_mm`` and ``rmse_after_mm`` show what the optimised one would do. ``history_mm[k]`` is
+    the objective (7) after iteration k (0: at the start).
     """
 
     plane_camera: Plane
