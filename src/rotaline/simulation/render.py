@@ -24,10 +24,10 @@ from rotaline.simulation.shapes import Shape, dot_rows
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Target
 
-SUBPIXELS = 16
-"""Sub-pixel rays of a pixel at an edge or in the stripe."""
+_EDGE_LATTICE, _STRIPE_LATTICE = (34, 21), (21, 13)
+"""Sub-pixel rays of a pixel at an edge, and in a laser-on frame, where the profile is smooth; with Fibonacci numbers the
+second one spreads them best."""
 
-_LATTICE_STEP = 7
 _CHUNK_RAYS = 20_000
 _SHEET_HALF_WIDTH = 4.0
 """Half width of the sheet, in sigmas, beyond which there is no laser light."""
@@ -71,10 +71,10 @@ class _Hits:
     distance_mm: Float[np.ndarray, " n"]
 
 
-def subpixel_offsets(n: int = SUBPIXELS) -> Float[np.ndarray, "n 2"]:
-    """Positions of sub-pixel rays in a pixel, -0.5 to 0.5: a rank-1 lattice, n different offsets along u and along v."""
+def subpixel_offsets(n: int, step: int) -> Float[np.ndarray, "n 2"]:
+    """Positions of sub-pixel rays in a pixel, -0.5 to 0.5: a lattice with n offsets along u and along v."""
     i = np.arange(n)
-    return np.stack([(i + 0.5) / n, ((i * _LATTICE_STEP) % n + 0.5) / n], axis=1) - 0.5
+    return np.stack([(i + 0.5) / n, ((i * step) % n + 0.5) / n], axis=1) - 0.5
 
 
 @lru_cache(maxsize=4)
@@ -176,7 +176,7 @@ def _to_split(
 
 
 def render_irradiance(
-    rig: Rig, parts_base: Sequence[Placed], *, laser_on: bool, ambient_dn: float, subpixels: int = SUBPIXELS
+    rig: Rig, parts_base: Sequence[Placed], *, laser_on: bool, ambient_dn: float
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """What an ideal sensor would see: grey values of the ambient light and of the laser, without noise, blur, black level.
 
@@ -186,7 +186,6 @@ def render_irradiance(
     parts_base : what stands there, in the base frame
     laser_on : False leaves the laser image black
     ambient_dn : grey value of a white surface that faces the camera
-    subpixels : rays of a pixel at an edge or in the stripe
 
     Returns
     -------
@@ -209,8 +208,8 @@ def render_irradiance(
     ambient, laser = whole.ambient, whole.laser
 
     (split,) = np.nonzero(_to_split(rig, whole, (height, width), laser_on, ambient_dn))
-    offsets = subpixel_offsets(subpixels)
-    step = max(_CHUNK_RAYS // subpixels, 1)
+    offsets = subpixel_offsets(*(_STRIPE_LATTICE if laser_on else _EDGE_LATTICE))
+    step = max(_CHUNK_RAYS // len(offsets), 1)
     for i in range(0, len(split), step):
         pixels = split[i : i + step]
         fine = _cast(rig, posed, origin, directions(_subpixel_xy(camera, xy[pixels], offsets).reshape(-1, 2)), laser_on)

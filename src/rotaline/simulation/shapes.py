@@ -6,7 +6,7 @@ outside counts: nothing here is transparent. A new shape needs these three metho
 """
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,6 +18,7 @@ Distances = Float[np.ndarray, " n"]
 Faces = Int[np.ndarray, " n"]
 
 
+@runtime_checkable
 class Shape(Protocol):
     """What the renderer asks of a shape."""
 
