@@ -6,6 +6,7 @@ package only, so that a foreign file can never run code.
 
 import dataclasses
 import json
+import struct
 import zipfile
 from importlib import import_module
 from pathlib import Path
@@ -46,7 +47,7 @@ def read_record(path: Path) -> Any:
     try:
         with np.load(path, allow_pickle=False) as arrays:
             return _decode(json.loads(str(arrays["tree"])), arrays)
-    except (OSError, KeyError, ValueError, TypeError, AttributeError, ImportError, zipfile.BadZipFile) as error:
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, ImportError, EOFError, struct.error, zipfile.BadZipFile) as error:
         raise SessionError(
             f"{path}: this stored result cannot be read ({error}). Start `rotaline run` again; it is made anew."
         ) from error

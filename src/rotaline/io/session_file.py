@@ -3,10 +3,11 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from rotaline.errors import SessionError
 from rotaline.geometry.primitives import SteppedCylinder
 from rotaline.metrology.model import Region
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target
@@ -88,6 +89,27 @@ class _File(_Table):
     ] = Field(default_factory=dict)
     captures: list[CaptureRequest] = Field(default_factory=list)
     measurements: list[MeasurementRequest] = Field(default_factory=list)
+
+
+def measurement_request(
+    capture: str, feature: str, reference: dict[str, float], nominal: dict[str, float], region: Region | None
+) -> MeasurementRequest:
+    """A request from the command line.
+
+    Raises
+    ------
+    SessionError
+        If there is no such feature.
+    """
+    if feature not in get_args(Feature):
+        raise SessionError(f"feature '{feature}': expected one of {', '.join(get_args(Feature))}.")
+    return MeasurementRequest(
+        capture=capture,
+        feature=feature,
+        reference=reference,
+        nominal=nominal,
+        region=region,  # type: ignore[arg-type]
+    )
 
 
 class SessionFile:

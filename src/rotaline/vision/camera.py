@@ -90,7 +90,9 @@ class CameraModel:
             jacobian = self.distort_jacobian(xy)
             determinant = jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0]
             wrong = np.linalg.norm(self.distort(xy) - xy_distorted, axis=1) > 1e-10
-        xy[wrong | ~(determinant > 0)] = np.nan
+            # the branch that holds the optical axis: distortion stretches, it does not fold or mirror
+            folded = ~(determinant > 0) | ~(jacobian[:, 0, 0] + jacobian[:, 1, 1] > 0)
+        xy[wrong | folded] = np.nan
         return xy
 
     def project(self, points_camera: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:

@@ -1,5 +1,6 @@
 """Reading one image file: PNG, JPEG, BMP or TIFF, grey or colour, 8 or 16 bit."""
 
+import warnings
 from pathlib import Path
 
 import cv2
@@ -38,7 +39,8 @@ def image_size(path: Path) -> tuple[int, int]:
             stream.seek(max(0, length - 1024))
             _check_end(path, head, stream.read(), length)
             stream.seek(0)
-            with Pillow.open(stream) as image:
+            with warnings.catch_warnings(action="ignore"), Pillow.open(stream) as image:
+                _check_strips(path, image, length)
                 return image.size
     except FileNotFoundError as error:
         raise SessionError(f"{path}: the image is missing. Put it back or remove its row from frames.csv.") from error
@@ -55,6 +57,15 @@ def _check_end(path: Path, head: bytes, tail: bytes, length: int) -> None:
     )
     if cut:
         raise SessionError(f"{path}: the file is cut off ({length} bytes). {_COPY_AGAIN}")
+
+
+def _check_strips(path: Path, image: Pillow.Image, length: int) -> None:
+    """A TIFF says where its strips or tiles end."""
+    tags = getattr(image, "tag_v2", {})
+    for offsets, counts in ((273, 279), (324, 325)):
+        ends = [offset + count for offset, count in zip(tags.get(offsets, ()), tags.get(counts, ()), strict=False)]
+        if ends and max(ends) > length:
+            raise SessionError(f"{path}: the file is cut off ({length} bytes). {_COPY_AGAIN}")
 
 
 def read_image(path: Path) -> Image:
@@ -85,3 +96,19 @@ def read_image(path: Path) -> Image:
 def to_grey(image: Image) -> UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]:
     """Grey values of a colour image (Rec. 601 weights), same depth; a grey image as it is."""
     return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+
+
+def small_picture(image: Image, width: int) -> tuple[UInt8[np.ndarray, "rows columns 3"], float]:
+    """An image as 8-bit colour, no wider than ``width``, brightened so that its brightest parts can be seen.
+
+    Returns
+    -------
+    picture : (h, w, 3)   red, green, blue
+    scale : float   picture pixels per image pixel
+    """
+    scale = min(1.0, width / image.shape[1])
+    if scale < 1.0:
+        image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    colour = image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2)
+    top = max(float(np.quantile(colour, 0.999)), 1.0)
+    return np.clip(colour * (255.0 / top), 0, 255).astype(np.uint8), scale
