@@ -1,0 +1,5 @@
+"""``python -m rotaline.cli``."""
+
+from rotaline.cli.app import entry
+
+entry()

@@ -1,0 +1,125 @@
+"""The command ``rotaline``.
+
+Exit codes: 0 everything asked for was done; 1 a part of it could not be done, the rest was written; 2 wrong use or bad input
+(session, options, calibration file); 3 the data do not allow the calibration; 4 results cannot be written; 130 interrupted.
+"""
+
+import logging
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rotaline.errors import (
+    CalibrationError,
+    DetectionError,
+    GeometryError,
+    MeasurementError,
+    OutputError,
+    RotalineError,
+    SessionError,
+)
+
+OK, INCOMPLETE, BAD_INPUT, NOT_POSSIBLE, NOT_WRITTEN, INTERRUPTED = 0, 1, 2, 3, 4, 130
+
+EXIT_CODES = """\b
+Exit codes:
+  0    everything asked for was done
+  1    a part could not be done (a feature not found, a frame missing); the rest was written
+  2    wrong use or bad input: session, options, calibration file
+  3    the data do not allow the calibration; the message says what to add
+  4    results cannot be written: no space, no permission
+  130  interrupted; the same command goes on where it stopped
+"""
+
+app = typer.Typer(
+    name="rotaline",
+    help="Measure parts with a camera, a laser line and a turntable.\n\n"
+    "A session is a folder of images with a session.toml. Start with `rotaline check SESSION`, then `rotaline run SESSION`. "
+    "Without a rig, try `rotaline demo`.\n\n" + EXIT_CODES,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+Session = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder with session.toml and folders of images.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", help="Where results go; default: <session>-results beside the session.")
+]
+OptionsFile = Annotated[
+    Path | None, typer.Option("--options", help="TOML file with options of the stages; `rotaline options` prints one.")
+]
+Setting = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--option", metavar="STAGE.NAME=VALUE", help="One option, for example stripe.method=steger; repeatable."
+    ),
+]
+Force = Annotated[bool, typer.Option("--force", help="Do every stage again, also those that did not change.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, for programs.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show warnings, errors and the result only.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Show the log as well.")]
+CalibrationOption = Annotated[
+    Path | None,
+    typer.Option("--calibration", help="Use this calibration.json instead of calibrating from the session."),
+]
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code, never a stack trace for what a user can mend."""
+    try:
+        app(args=argv, standalone_mode=False)
+    except (typer.Exit, SystemExit) as done:
+        code = getattr(done, "exit_code", getattr(done, "code", 0))
+        return int(code or 0)
+    except (KeyboardInterrupt, typer.Abort):
+        return _fail("interrupted. What was finished is kept; start the same command again to go on.", INTERRUPTED)
+    except OutputError as error:
+        return _fail(str(error), NOT_WRITTEN)
+    except SessionError as error:
+        return _fail(str(error), BAD_INPUT)
+    except (CalibrationError, DetectionError, GeometryError, MeasurementError) as error:
+        return _fail(str(error), NOT_POSSIBLE)
+    except RotalineError as error:
+        return _fail(str(error), INCOMPLETE)
+    except OSError as error:
+        from rotaline.io.files import output_error
+
+        return _fail(str(output_error(Path(str(error.filename or "results")), error)), NOT_WRITTEN)
+    except Exception as error:
+        if type(error).__module__.startswith(("click", "typer")):
+            message = getattr(error, "format_message", lambda: str(error))()
+            return _fail(f"{message} See `rotaline --help`.", BAD_INPUT)
+        logging.getLogger("rotaline").exception("unexpected error")
+        return _fail(
+            f"unexpected error ({type(error).__name__}: {error}). This is a defect of the program: please report it "
+            "with the results folder's log.txt.",
+            INCOMPLETE,
+        )
+    return OK
+
+
+def _fail(message: str, code: int) -> int:
+    lines = message.splitlines() or [""]
+    print("\n".join(["rotaline: " + lines[0], *("          " + line for line in lines[1:])]), file=sys.stderr)
+    logging.getLogger("rotaline").error("%s", message)
+    _close_log()
+    return code
+
+
+def _close_log() -> None:
+    log = logging.getLogger("rotaline")
+    for handler in list(log.handlers):
+        log.removeHandler(handler)
+        handler.close()
+
+
+def entry() -> None:
+    """The console script."""
+    raise SystemExit(main())
+
+
+# The commands register themselves with ``app``.
+from rotaline.cli import commands, options_help, verify  # noqa: E402, F401

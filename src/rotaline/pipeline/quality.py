@@ -1,0 +1,73 @@
+"""The ``quality`` object of ``calibration.json``: the figures by which each stage is judged, with units in the names."""
+
+from typing import Any
+
+import numpy as np
+
+from rotaline.pipeline.calibrate import CalibrationParts
+
+
+def quality_figures(parts: CalibrationParts) -> dict[str, dict[str, Any]]:
+    """One object for each stage that was done; standard uncertainties (k = 1) begin with ``u_``."""
+    quality: dict[str, dict[str, Any]] = {}
+    if (camera := parts.camera) is not None:
+        quality["camera"] = {
+            "rms_px": camera.rms_px,
+            "mean_error_px": camera.mean_error_px,
+            "n_views": len(camera.views),
+            "n_views_used": sum(v.used for v in camera.views),
+            "views_left_out": {v.name: v.reason for v in camera.views if not v.used},
+            "u": dict(zip(camera.parameter_names, camera.u_parameters.tolist(), strict=True)),
+        }
+    if (plane := parts.laser_plane) is not None:
+        quality["laser_plane"] = {
+            "rms_mm": plane.rms_mm,
+            "n_poses": len(plane.views),
+            "n_poses_used": sum(v.used for v in plane.views),
+            "poses_left_out": {v.name: v.reason for v in plane.views if not v.used},
+            "n_points": sum(len(v.points_camera) for v in plane.views if v.used),
+            "u_normal_rad": list(plane.u_normal_rad),
+            "u_offset_mm": plane.u_offset_mm,
+        }
+    if (ratio := parts.cross_ratio) is not None:
+        quality["cross_ratio"] = {
+            "interval_rmse_before_mm": ratio.rmse_before_mm,
+            "interval_rmse_after_mm": ratio.rmse_after_mm,
+            "n_intervals": len(ratio.reference_mm),
+            "accepted": ratio.accepted,
+            "reason": ratio.reason,
+            "n_iterations": ratio.n_iterations,
+            "converged": ratio.converged,
+        }
+    if (axis := parts.axis) is not None:
+        angles = np.array([f.angle_rad for f in axis.frames if f.used])
+        quality["axis"] = {
+            "circle_rms_mm": axis.rms_mm,
+            "centre_line_rms_mm": axis.centre_line_rms_mm,
+            "n_frames": len(axis.frames),
+            "n_frames_used": len(angles),
+            "frames_left_out": {f.name: f.reason for f in axis.frames if not f.used},
+            "u_direction_rad": axis.u_direction_rad,
+            "u_position_mm": axis.u_position_mm,
+        }
+    if (artifact := parts.artifact) is not None:
+        quality["artifact"] = {
+            "method": artifact.method,
+            "mean_distance_before_mm": artifact.mean_distance_before_mm,
+            "mean_distance_mm": artifact.mean_distance_mm,
+            "n_iterations": artifact.n_iterations,
+            "converged": artifact.converged,
+            "u_direction_rad": artifact.u_direction_rad,
+            "u_position_mm": artifact.u_position_mm,
+            "mounts": {
+                m.name: {
+                    "n_frames": len(m.frame_used),
+                    "n_frames_used": sum(m.frame_used),
+                    "mean_distance_before_mm": m.mean_distance_before_mm,
+                    "mean_distance_mm": m.mean_distance_mm,
+                    "eccentricity_mm": m.eccentricity_mm,
+                }
+                for m in artifact.mounts
+            },
+        }
+    return quality

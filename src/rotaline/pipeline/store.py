@@ -1,0 +1,118 @@
+"""Results of stages in the results folder, so that a run goes on where it stopped.
+
+The file name holds a key of everything that the result depends on: the version of the program, the input files (name, size,
+time of change), the options of the stage and the keys of the stages before it.
+"""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rotaline import __version__
+from rotaline.errors import SessionError
+from rotaline.io.files import make_folder, output_error
+from rotaline.io.records import read_record, write_record
+from rotaline.pipeline.observer import LOG, Observer
+
+T = TypeVar("T")
+
+
+def key_of(*parts: Any) -> str:
+    """A key of values: text, numbers, tuples, dataclasses of those."""
+    text = json.dumps(
+        [__version__, *parts],
+        default=lambda v: asdict(v) if is_dataclass(v) and not isinstance(v, type) else str(v),
+        sort_keys=True,
+    )
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def files_key(paths: Iterable[Path]) -> str:
+    """A key of input files: their names, sizes and times of change."""
+    entries = []
+    for path in paths:
+        state = path.stat()
+        entries.append((path.name, state.st_size, state.st_mtime_ns))
+    return key_of(entries)
+
+
+@dataclass(frozen=True, eq=False)
+class StageResult:
+    """What is stored of a stage."""
+
+    seconds: float
+    value: Any
+
+
+class StageStore:
+    """Stored stage results in ``folder``; with ``force`` they are made again."""
+
+    def __init__(self, folder: Path, observer: Observer, force: bool = False) -> None:
+        self._folder = folder
+        self._observer = observer
+        self._force = force
+        self._known: dict[str, tuple[str, Any]] = {}
+        self.seconds: dict[str, float] = {}
+        make_folder(folder)
+
+    def get(self, name: str, title: str, key: str, compute: Callable[[], T]) -> T:
+        """The stored result of a stage, or a new one, which is stored before it is given back."""
+        known = self._known.get(name)
+        if known is not None and known[0] == key:
+            return known[1]
+        value = self._stored_or_new(self._folder / f"{name.replace('/', '_')}.{key}.npz", title, compute)
+        self._known[name] = (key, value)
+        return value
+
+    def latest(self, name: str) -> Any:
+        """The result that this run has of a stage, or None."""
+        return self._known.get(name, (None, None))[1]
+
+    def _stored_or_new(self, path: Path, title: str, compute: Callable[[], T]) -> T:
+        if path.is_file() and not self._force:
+            try:
+                stored: StageResult = read_record(path)
+            except SessionError as error:
+                LOG.warning("%s", error)
+            else:
+                self._observer.stage(title, stored=True)
+                self.seconds[title] = stored.seconds
+                return stored.value
+        self._observer.stage(title, stored=False)
+        start = time.perf_counter()
+        value = compute()
+        self.seconds[title] = time.perf_counter() - start
+        LOG.info("%s took %.2f s", title, self.seconds[title])
+        write_record(path, StageResult(self.seconds[title], value))
+        self._forget_others(path)
+        return value
+
+    def _forget_others(self, path: Path) -> None:
+        name = path.name.split(".")[0]
+        try:
+            for other in self._folder.glob(f"{name}.*.npz"):
+                if other != path:
+                    other.unlink()
+        except OSError as error:
+            raise output_error(path, error) from error
+
+
+def check_writable(folder: Path) -> None:
+    """Fail at once, not after an hour's work, if results cannot be written.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written in ``folder``.
+    """
+    make_folder(folder)
+    probe = folder / ".write-test"
+    try:
+        probe.write_bytes(b"0" * 4096)
+        probe.unlink()
+    except OSError as error:
+        raise output_error(folder, error) from error

@@ -1,0 +1,174 @@
+"""What a run hands to the report: summaries, thinned clouds, frames with what was found in them."""
+
+import dataclasses
+import platform
+from collections.abc import Sequence
+from datetime import datetime
+from importlib.metadata import version
+
+import numpy as np
+
+from rotaline import __version__
+from rotaline.calibration.model import SystemCalibration
+from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.io.report.contents import (
+    CaptureSummary,
+    CloudSummary,
+    FittedPoints,
+    FrameOverlay,
+    ReportContents,
+    RunInfo,
+    StageWarning,
+    SurfaceSummary,
+)
+from rotaline.io.results import MeasurementEntry
+from rotaline.io.session import Capture, Frame, Session
+from rotaline.pipeline.calibrate import CalibrationParts, stored_stripes
+from rotaline.pipeline.observer import Observer, Silent
+from rotaline.pipeline.options import Options
+from rotaline.pipeline.store import StageStore
+from rotaline.scanning.cloud import PointCloud
+from rotaline.vision.images import read_image, small_picture
+
+MAX_DRAWN = 200_000
+"""Points of a cloud that a picture needs at the most."""
+PICTURE_WIDTH = 640
+
+
+def thinned(cloud: PointCloud) -> PointCloud:
+    """Every n-th point, so that no more than ``MAX_DRAWN`` remain."""
+    step = -(-len(cloud) // MAX_DRAWN)
+    return cloud if step <= 1 else cloud.select(np.arange(len(cloud)) % step == 0)
+
+
+def fitted_points(entries: Sequence[MeasurementEntry], clouds: dict[str, PointCloud]) -> tuple[FittedPoints, ...]:
+    """The points of each measured feature with their residuals, thinned."""
+    result = []
+    for entry in entries:
+        m = entry.measurement
+        if m is None or entry.capture not in clouds:
+            continue
+        step = max(1, -(-len(m.indices) // MAX_DRAWN))
+        points = clouds[entry.capture].points_table[m.indices[::step]]
+        result.append(FittedPoints(entry.capture, entry.feature, entry.name, points, m.residuals[::step]))
+    return tuple(result)
+
+
+def frame_overlays(
+    session: Session, store: StageStore, options: Options, observer: Observer
+) -> tuple[FrameOverlay, ...]:
+    """Example frames of each capture with the points that were found in them."""
+    overlays = []
+    for capture in session.captures:
+        if capture.role in ("camera", "axis"):
+            overlays += _target_overlays(capture, store)
+        else:
+            overlays += _stripe_overlays(capture, options, store)
+    return tuple(overlays)
+
+
+def _target_overlays(capture: Capture, store: StageStore) -> list[FrameOverlay]:
+    detected = [d for d in store.latest(f"detect-{capture.folder}-{capture.target_name}-off") or () if d.detection]
+    if capture.role == "axis":
+        detected = sorted(detected, key=lambda d: d.angle_rad)
+        chosen = [detected[i] for i in sorted({0, len(detected) // 2, len(detected) - 1}) if detected]
+    else:
+        chosen = detected[:2]
+    paths = {f.name: f for f in capture.frames}
+    what = "target with the detected points"
+    return [_overlay(capture.role, paths[d.name], what, d.detection.uv) for d in chosen if d.name in paths]
+
+
+def _stripe_overlays(capture: Capture, options: Options, store: StageStore) -> list[FrameOverlay]:
+    stripes, _ = stored_stripes(capture, options, store, Silent())
+    pieces = stripes.stripes()
+    filled = [i for i, s in enumerate(pieces) if len(s)]
+    if not filled:
+        return []
+    n = len(filled)
+    chosen = sorted({filled[0], filled[n // 3], filled[2 * n // 3]})[: 3 if capture.role != "laser-plane" else 2]
+    frames = capture.on_frames
+    return [_overlay(capture.role, frames[i], "stripe with its extracted centres", pieces[i].uv) for i in chosen]
+
+
+_STAGE_OF_ROLE = {
+    "camera": "camera",
+    "axis": "axis",
+    "laser-plane": "laser-plane",
+    "artifact": "artifact",
+    "scan": "scan",
+}
+
+
+def _overlay(role: str, frame: Frame, what: str, uv: np.ndarray) -> FrameOverlay:
+    image, scale = small_picture(read_image(frame.path), PICTURE_WIDTH)
+    angle = "" if frame.angle_rad is None else f" at {np.degrees(frame.angle_rad):.2f} deg"
+    return FrameOverlay(_STAGE_OF_ROLE[role], frame.name, f"{frame.name}{angle}: {what}", image, scale, uv)
+
+
+def report_contents(
+    session: Session,
+    options: Options,
+    warnings: tuple[StageWarning, ...],
+    seconds: dict[str, float],
+    parts: CalibrationParts | None,
+    system: SystemCalibration | None,
+    clouds: tuple[CloudSummary, ...],
+    surfaces: tuple[SurfaceSummary, ...],
+    entries: tuple[MeasurementEntry, ...],
+    initial_entries: tuple[MeasurementEntry, ...],
+    fitted: tuple[FittedPoints, ...],
+    overlays: tuple[FrameOverlay, ...],
+) -> ReportContents:
+    """Everything that the report shows."""
+    return ReportContents(
+        run=RunInfo(
+            session=session.path.resolve().name,
+            finished_at=datetime.now().astimezone().isoformat(timespec="seconds"),
+            versions=versions(),
+            machine=machine(),
+            options={
+                f"{stage.name}.{f.name}": str(getattr(getattr(options, stage.name), f.name))
+                for stage in dataclasses.fields(options)
+                for f in dataclasses.fields(getattr(options, stage.name))
+            },
+            stage_seconds=dict(seconds),
+        ),
+        captures=tuple(
+            CaptureSummary(c.folder, c.role, c.target_name, len(c.frames), len(c.on_frames), session.image_size)
+            for c in session.captures
+        ),
+        targets={name: _describe(target) for name, target in session.targets.items()},
+        warnings=warnings,
+        camera=parts.camera if parts else None,
+        laser_plane=parts.laser_plane if parts else None,
+        cross_ratio=parts.cross_ratio if parts else None,
+        axis=parts.axis if parts else None,
+        artifact=parts.artifact if parts else None,
+        calibration=system,
+        clouds=clouds,
+        surfaces=surfaces,
+        measurements=entries,
+        measurements_initial_axis=initial_entries,
+        overlays=overlays,
+        fitted=fitted,
+        artifacts={c.folder: c.target for c in session.captures if isinstance(c.target, SteppedCylinder)},
+    )
+
+
+def _describe(target: object) -> str:
+    fields = dataclasses.fields(target)  # type: ignore[arg-type]
+    return f"{type(target).__name__}: " + ", ".join(f"{f.name} {getattr(target, f.name)}" for f in fields)
+
+
+def versions() -> dict[str, str]:
+    """Versions of the program and of the libraries that its numbers depend on."""
+    names = ("numpy", "scipy", "opencv-python-headless", "open3d-cpu")
+    return {"rotaline": __version__, "python": platform.python_version()} | {name: version(name) for name in names}
+
+
+def machine() -> str:
+    """The machine in one line."""
+    import os
+
+    return f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"

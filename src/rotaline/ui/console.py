@@ -1,0 +1,158 @@
+"""What a person sees in the terminal: stages, progress bars, tables. Everything goes to standard error but tables."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from rotaline.io.calibration_file import CalibrationFile
+from rotaline.io.results import MeasurementEntry
+from rotaline.io.session import Problem, Session
+from rotaline.pipeline.observer import LOG
+from rotaline.pipeline.stages import PlannedStage
+
+
+class ConsoleObserver:
+    """Shows a run in the terminal and writes it to the log.
+
+    ``verbosity``: 0 quiet (warnings and errors only), 1 normal, 2 verbose (every figure).
+    """
+
+    def __init__(self, verbosity: int = 1) -> None:
+        self._verbosity = verbosity
+        self._console = Console(stderr=True, highlight=False)
+
+    def stage(self, title: str, stored: bool) -> None:
+        """Name the stage that begins."""
+        LOG.info("%s%s", title, " (stored result)" if stored else "")
+        if self._verbosity >= 1:
+            self._console.print(f"[bold]{title}[/bold]" + ("  [dim]stored result[/dim]" if stored else ""))
+
+    @contextmanager
+    def work(self, label: str, total: int) -> Iterator[Callable[[], None]]:
+        """Show a progress bar while the work lasts."""
+        if self._verbosity < 1:
+            yield lambda: None
+            return
+        bar = Progress(
+            TextColumn("  {task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=self._console,
+            transient=True,
+        )
+        with bar:
+            task = bar.add_task(label, total=total)
+            yield lambda: bar.advance(task)
+
+    def note(self, text: str) -> None:
+        """Show a figure."""
+        LOG.info("%s", text)
+        if self._verbosity >= 1:
+            self._console.print(f"  {text}", markup=False)
+
+    def warning(self, text: str) -> None:
+        """Show a warning."""
+        LOG.warning("%s", text)
+        self._console.print(f"  warning: {text}", style="yellow", markup=False)
+
+
+def measurement_table(entries: Sequence[MeasurementEntry], initial: Sequence[MeasurementEntry] = ()) -> Table:
+    """The measured sizes, in mm; with the errors that the initial axis would have given, where it differs."""
+    before = {(e.capture, e.feature, e.name): e for e in initial}
+    table = Table(title="Measured features (mm, table frame)", title_justify="left")
+    for name, justify in (
+        ("capture", "left"),
+        ("feature", "left"),
+        ("quantity", "left"),
+        ("value", "right"),
+        ("reference", "right"),
+        ("error", "right"),
+        ("error with initial axis", "right"),
+        ("rms", "right"),
+        ("points", "right"),
+    ):
+        table.add_column(name, justify=justify)  # type: ignore[arg-type]
+    for entry in entries:
+        if entry.measurement is None:
+            table.add_row(entry.capture, entry.feature, "not measured", *["–"] * 6)
+            continue
+        earlier = before.get((entry.capture, entry.feature, entry.name))
+        for quantity, value in entry.measurement.value.items():
+            table.add_row(
+                entry.capture,
+                entry.feature,
+                quantity.replace("_", " "),
+                _mm(value),
+                _mm(entry.reference.get(quantity)),
+                _mm(entry.error.get(quantity), signed=True),
+                _mm(earlier.error.get(quantity) if earlier else None, signed=True),
+                _mm(entry.measurement.rms),
+                str(entry.measurement.n_points),
+            )
+    return table
+
+
+def _mm(value: float | None, signed: bool = False) -> str:
+    if value is None or value != value:
+        return "–"
+    return f"{value:+.4f}" if signed else f"{value:.4f}"
+
+
+def show_check(
+    path: Path, session: Session | None, stages: Sequence[PlannedStage], problems: Sequence[Problem]
+) -> None:
+    """What a session folder holds, which stages it allows, what is wrong with it."""
+    console = Console(highlight=False)
+    if session is not None:
+        width, height = session.image_size
+        console.print(f"{path}: {len(session.captures)} captures, images of {width} x {height} pixels", markup=False)
+        table = Table("capture", "role", "target", "frames", "laser on", "angles")
+        for capture in session.captures:
+            angles = [math.degrees(f.angle_rad) for f in capture.frames if f.angle_rad is not None]
+            span = f"{min(angles):.2f} to {max(angles):.2f} deg" if angles else "–"
+            table.add_row(
+                capture.folder,
+                capture.role,
+                capture.target_name or "–",
+                str(len(capture.frames)),
+                str(len(capture.on_frames)),
+                span,
+            )
+        console.print(table)
+        table = Table("stage", "possible", "why")
+        for stage in stages:
+            table.add_row(stage.name, "yes" if stage.possible else "no", stage.text)
+        console.print(table)
+    for problem in problems:
+        kind = "error" if problem.fatal else "warning"
+        console.print(f"{kind}: {problem}", style="red" if problem.fatal else "yellow", markup=False, soft_wrap=True)
+    if session is None:
+        console.print(f"{path}: this session cannot be processed; mend the errors first.", markup=False, soft_wrap=True)
+    elif not problems:
+        console.print("Nothing wrong was found.")
+
+
+def show_calibration(content: CalibrationFile, path: Path) -> None:
+    """The calibrated system in a few lines."""
+    console = Console(highlight=False)
+    table = Table("quantity", "value", "frame")
+    if (camera := content.camera) is not None:
+        table.add_row("fx, fy", f"{camera.fx:.2f}, {camera.fy:.2f} px", "image")
+        table.add_row("cx, cy", f"{camera.cx:.2f}, {camera.cy:.2f} px", "image")
+    if (plane := content.laser_plane_camera) is not None:
+        normal = ", ".join(f"{v:+.6f}" for v in plane.normal)
+        table.add_row("laser plane", f"normal ({normal}), offset {plane.offset:.4f} mm", "camera")
+    if (axis := content.rotation_axis_camera) is not None:
+        table.add_row("axis point", ", ".join(f"{v:.4f}" for v in axis.point) + " mm", "camera")
+        table.add_row("axis direction", ", ".join(f"{v:+.6f}" for v in axis.direction), "camera")
+        table.add_row(
+            "sense of angle_deg", "right-handed" if content.turn_sense > 0 else "left-handed", "about the axis"
+        )
+    console.print(table)
+    console.print(f"Calibration: {path}", markup=False, soft_wrap=True)
