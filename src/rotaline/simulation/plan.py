@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rotaline.geometry.primitives import SteppedCylinder, unit
 from rotaline.simulation.boards import Plate
 from rotaline.simulation.render import Placed
-from rotaline.simulation.rig import Rig
+from rotaline.simulation.rig import Rig, build_rig
 from rotaline.simulation.shapes import Ball, GrooveBlock, Rod, Shape, SteppedRod
 from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
 
@@ -76,6 +76,11 @@ class SessionPlan:
         """Refuse formats that are not written."""
         if self.image_format not in IMAGE_FORMATS:
             raise ValueError(f"image_format must be one of {', '.join(IMAGE_FORMATS)}, not {self.image_format!r}.")
+
+    @property
+    def n_frames(self) -> int:
+        """Images in all captures."""
+        return sum(len(capture.shots) for capture in self.captures)
 
 
 def mount(
@@ -176,7 +181,8 @@ def laser_capture(
         centre = base_from_board.apply(plate.centre_board()[None])[0]
         front = -base_from_board.rotation.as_matrix()[:, 2]
         lit = front @ unit(rig.laser.position_base - centre) > 0.4 and front @ unit(camera_base - centre) > 0.6
-        return bool(lit) and _in_view(rig, plate, rig.camera_from_base * base_from_board)
+        across_sheet = abs(front @ rig.laser.plane_base.normal) < 0.7  # not so oblique that the stripe gets wide
+        return bool(lit and across_sheet) and _in_view(rig, plate, rig.camera_from_base * base_from_board)
 
     poses = _poses_that_fit(n_poses, draw, fits, "target in the laser sheet")
     shots = [
@@ -254,8 +260,14 @@ _TARGETS: dict[str, Target | SteppedCylinder] = {
 }
 
 
-def demo_plan(rig: Rig, seed: int = 1) -> SessionPlan:
-    """The session of ``make demo``: every stage of the chain, as few frames as give good results."""
+def demo_rig() -> Rig:
+    """The rig of ``make demo``: grey, 8 bit, 640 x 480."""
+    return build_rig((640, 480))
+
+
+def demo_plan(rig: Rig | None = None, seed: int = 1) -> SessionPlan:
+    """The session of ``make demo``: every stage of the chain, as few frames as give good results; None: :func:`demo_rig`."""
+    rig = demo_rig() if rig is None else rig
     turn = full_turn(40)
     captures = [
         camera_capture(rig, CHECKERBOARD, "checkerboard", 14, seed),

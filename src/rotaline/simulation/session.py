@@ -15,10 +15,12 @@ import numpy as np
 
 from rotaline.errors import OutputError
 from rotaline.geometry.primitives import SteppedCylinder
-from rotaline.simulation.plan import CapturePlan, SessionPlan, Shot
+from rotaline.simulation.plan import CapturePlan, SessionPlan, Shot, demo_plan, demo_rig, small_plan
 from rotaline.simulation.render import render_frame
 from rotaline.simulation.rig import Rig
 from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
+
+__all__ = ["demo_plan", "demo_rig", "session_toml", "small_plan", "truth", "truth_path", "write_session"]
 
 JPEG_QUALITY = 97
 
@@ -126,7 +128,7 @@ def _write_frames_csv(path: Path, capture: CapturePlan, names: list[str]) -> Non
             writer.writerow([name, angle, "on" if shot.laser else "off", shot.pose])
 
 
-def _write_into(folder: Path, rig: Rig, plan: SessionPlan, progress: Callable[[int, int], None] | None) -> None:
+def _write_into(folder: Path, rig: Rig, plan: SessionPlan, progress: Callable[[], None] | None) -> None:
     (folder / "session.toml").write_text(session_toml(plan), encoding="utf-8")
     jobs = []
     for c, capture in enumerate(plan.captures):
@@ -144,16 +146,16 @@ def _write_into(folder: Path, rig: Rig, plan: SessionPlan, progress: Callable[[i
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         try:
             futures = [pool.submit(work, *job) for job in jobs]
-            for done, future in enumerate(as_completed(futures), start=1):
+            for future in as_completed(futures):
                 future.result()
                 if progress is not None:
-                    progress(done, len(jobs))
+                    progress()
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
 
 
-def write_session(path: Path, rig: Rig, plan: SessionPlan, progress: Callable[[int, int], None] | None = None) -> None:
+def write_session(path: Path, rig: Rig, plan: SessionPlan, progress: Callable[[], None] | None = None) -> None:
     """Render a plan into a session folder; the truth goes into :func:`truth_path` beside it.
 
     Everything is written under a temporary name first: an interrupted call leaves nothing behind.
@@ -163,7 +165,7 @@ def write_session(path: Path, rig: Rig, plan: SessionPlan, progress: Callable[[i
     path : Path   the session folder; must not exist yet
     rig : Rig
     plan : SessionPlan
-    progress : called with (frames done, frames in all) after each frame
+    progress : called after each of the plan's ``n_frames`` frames
 
     Raises
     ------
