@@ -1,68 +1,146 @@
-"""The stripe as a curve: points at equal distance along it, and their directions."""
+"""The stripe as ordered chains of points: windows along a chain, directions, equal spacing, breaks."""
+
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 
-def resample_polyline(uv: Float[np.ndarray, "n 2"], spacing_px: float) -> Float[np.ndarray, "m 2"]:
-    """Points at equal arc length along a polyline, from its first point on."""
-    step = np.hypot(*np.diff(uv, axis=0).T)
-    length = np.concatenate([[0.0], np.cumsum(step)])
-    keep = np.concatenate([[True], step > 1e-9])
-    at = np.arange(0.0, length[-1] + 1e-6, spacing_px)
-    return np.column_stack([np.interp(at, length[keep], uv[keep, k]) for k in (0, 1)])
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """Points of several chains, one chain after the other.
+
+    Attributes
+    ----------
+    uv : (n, 2)   in order along each chain, px
+    chain : (n,)   chain of each point, ascending
+    """
+
+    uv: Float[np.ndarray, "n 2"]
+    chain: Int[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        """Number of points."""
+        return len(self.uv)
+
+    def bounds(self) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+        """First and last index of the chain that each point belongs to."""
+        start = np.searchsorted(self.chain, self.chain, side="left")
+        stop = np.searchsorted(self.chain, self.chain, side="right") - 1
+        return start, stop
+
+    def spans(self) -> list[tuple[int, int]]:
+        """Start and stop of each chain."""
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(self.chain)) + 1, [len(self.chain)]])
+        return [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
+
+    def window_mean(self, values: Float[np.ndarray, " n"], half_window: int) -> Float[np.ndarray, " n"]:
+        """Mean of a value over the neighbours of each point in its chain."""
+        start, stop = self.bounds()
+        i = np.arange(len(self))
+        low, high = np.maximum(i - half_window, start), np.minimum(i + half_window, stop)
+        total = np.concatenate([[0.0], np.cumsum(values)])
+        return (total[high + 1] - total[low]) / (high + 1 - low)
 
 
 def local_lines(
-    uv: Float[np.ndarray, "n 2"], half_window: int, one_sided: bool = True
+    chains: Chains, half_window: int, noise_px: float = 0.05
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
-    """Smoothed position and unit tangent at every point of an ordered chain.
+    """Smoothed position and unit tangent at every point.
 
     A line is fitted to the points of a window that is centred on the point, of one that ends at it and of one that begins
-    at it; the one-sided windows win where the centred one does not fit (at a corner or at a break), so that the direction
-    does not bend around a corner. At the ends of the chain the windows are cut.
+    at it. A one-sided window wins only where the centred one fits clearly worse, at a corner or a jump, so that the
+    direction does not bend around it. No window leaves its chain.
 
     Parameters
     ----------
-    uv : (n, 2)   centres in order, about equally spaced, px
+    chains : Chains   about equally spaced points
     half_window : int   points on either side
-    one_sided : bool   False to use the centred window alone
-
-    Returns
-    -------
-    smooth, tangent : (n, 2) each
+    noise_px : float   misfit that is not worth a one-sided window
     """
-    n = len(uv)
+    n = len(chains)
+    start, stop = chains.bounds()
     i = np.arange(n)
-    windows = [(np.maximum(i - half_window, 0), np.minimum(i + half_window, n - 1))]
-    # at the ends the centred window keeps its length where it can
-    windows[0] = (
-        np.minimum(windows[0][0], max(n - 1 - half_window, 0)),
-        np.maximum(windows[0][1], min(half_window, n - 1)),
+    before, after = np.maximum(i - half_window, start), np.minimum(i + half_window, stop)
+    # a window at an end of its chain keeps half the length of a centred one
+    first, last = np.maximum(stop - half_window, start), np.minimum(start + half_window, stop)
+    windows = (
+        (np.minimum(before, first), np.maximum(after, last)),
+        (before, np.maximum(i, last)),
+        (np.minimum(i, first), after),
     )
-    if one_sided and n > half_window:
-        windows.append((np.maximum(i - half_window, 0), np.maximum(i, min(half_window, n - 1))))
-        windows.append((np.minimum(i, max(n - 1 - half_window, 0)), np.minimum(i + half_window, n - 1)))
-    t = i.astype(float)
-    origin = uv.mean(axis=0)
-    x = uv - origin
+    t = (i - start).astype(float)
+    origin = chains.uv[start]
+    x = chains.uv - origin
     terms = np.column_stack([np.ones(n), t, t * t, x, x * t[:, None], (x * x).sum(axis=1)])
     total = np.vstack([np.zeros(terms.shape[1]), np.cumsum(terms, axis=0)])
     best = np.full(n, np.inf)
-    smooth, tangent = uv.copy(), np.zeros_like(uv)
+    smooth, tangent = chains.uv.copy(), np.zeros_like(chains.uv)
     for rank, (low, high) in enumerate(windows):
         s = total[high + 1] - total[low]
         count, mean_t = s[:, 0], s[:, 1] / s[:, 0]
-        var_t = np.maximum(s[:, 2] - count * mean_t**2, 1e-12)
+        var_t = np.maximum(s[:, 2] - count * mean_t**2, 1e-9)
         mean = s[:, 3:5] / count[:, None]
         slope = (s[:, 5:7] - mean_t[:, None] * s[:, 3:5]) / var_t[:, None]
         rest = s[:, 7] - count * (mean**2).sum(axis=1) - var_t * (slope**2).sum(axis=1)
-        misfit = np.maximum(rest, 0.0) / np.maximum(count - 2, 1) + 1e-4
-        misfit = misfit * (1.0 if rank == 0 else 4.0)  # one-sided only where clearly better
+        misfit = np.maximum(rest, 0.0) / np.maximum(count - 2, 1) + noise_px**2
+        misfit *= 1.0 if rank == 0 else 4.0
         better = misfit < best
         best[better] = misfit[better]
         smooth[better] = (origin + mean + slope * (t - mean_t)[:, None])[better]
         tangent[better] = slope[better]
-    norm = np.hypot(tangent[:, 0], tangent[:, 1])
-    tangent = np.where(norm[:, None] > 1e-9, tangent / np.maximum(norm, 1e-9)[:, None], [1.0, 0.0])
-    return smooth, tangent
+    norm = np.hypot(tangent[:, 0], tangent[:, 1])[:, None]
+    return smooth, np.where(norm > 1e-9, tangent / np.maximum(norm, 1e-9), np.array([1.0, 0.0]))
+
+
+def resample(chains: Chains, spacing_px: float = 1.0) -> Chains:
+    """Points at equal arc length along the polyline of each chain, from its first point on."""
+    uv, chain = [], []
+    for number, (a, b) in enumerate(chains.spans()):
+        points = chains.uv[a:b]
+        step = np.hypot(*np.diff(points, axis=0).T)
+        points = points[np.concatenate([[True], step > 1e-6])]
+        length = np.concatenate([[0.0], np.cumsum(step[step > 1e-6])])
+        at = np.arange(0.0, length[-1] + 1e-6, spacing_px)
+        uv.append(np.column_stack([np.interp(at, length, points[:, k]) for k in (0, 1)]))
+        chain.append(np.full(len(at), number, dtype=np.int64))
+    if not uv:
+        return chains
+    return Chains(np.concatenate(uv), np.concatenate(chain))
+
+
+def break_chains(
+    chains: Chains, tangent: Float[np.ndarray, "n 2"], good: Bool[np.ndarray, " n"], min_points: int
+) -> tuple[Chains, Bool[np.ndarray, " n"]]:
+    """Break chains at jumps and leave out points that are not good, that go backwards, or that stand in short pieces.
+
+    A jump is a gap of more than 3 px, or a move of more than 1.2 px across the stripe from one point to the next.
+
+    Returns
+    -------
+    chains : Chains   renumbered from 0
+    kept : (n,) bool   which of the points these are
+    """
+    index = np.flatnonzero(good)
+    for _ in range(3):
+        uv, t, chain = chains.uv[index], tangent[index], chains.chain[index]
+        move = np.diff(uv, axis=0)
+        forward = (move * t[:-1]).sum(axis=1)
+        back = (chain[1:] == chain[:-1]) & (np.maximum(forward, (move * t[1:]).sum(axis=1)) < 0.3)
+        if not back.any():
+            break
+        index = index[np.concatenate([[True], ~back])]
+    uv, t, chain = chains.uv[index], tangent[index], chains.chain[index]
+    move = np.diff(uv, axis=0)
+    across = np.minimum(
+        np.abs(move[:, 0] * t[:-1, 1] - move[:, 1] * t[:-1, 0]), np.abs(move[:, 0] * t[1:, 1] - move[:, 1] * t[1:, 0])
+    )
+    jump = (chain[1:] != chain[:-1]) | (across > 1.2) | (np.hypot(move[:, 0], move[:, 1]) > 3.0)
+    label = np.concatenate([[0], np.cumsum(jump)]) if len(index) else np.zeros(0, dtype=np.int64)
+    count = np.bincount(label) if len(index) else np.zeros(0, dtype=np.int64)
+    long = count[label] >= min_points if len(index) else np.zeros(0, dtype=bool)
+    index, label = index[long], label[long]
+    kept = np.zeros(len(chains), dtype=bool)
+    kept[index] = True
+    _, number = np.unique(label, return_inverse=True)
+    return Chains(chains.uv[index], number.astype(np.int64)), kept

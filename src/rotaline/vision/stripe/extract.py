@@ -4,17 +4,23 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from rotaline.vision.images import Image
-from rotaline.vision.stripe.centres import Centres, weighted_centroid
-from rotaline.vision.stripe.curve import local_lines, resample_polyline
+from rotaline.vision.stripe.background import Background, side_background, step_background
+from rotaline.vision.stripe.centres import Centres, fit_gaussian, weighted_centroid
+from rotaline.vision.stripe.curve import Chains, break_chains
 from rotaline.vision.stripe.model import StripePoints
-from rotaline.vision.stripe.profiles import sample_profiles
-from rotaline.vision.stripe.ridges import Ridge, find_ridges
+from rotaline.vision.stripe.profiles import Profiles
+from rotaline.vision.stripe.ridges import find_ridges
 from rotaline.vision.stripe.signal import StripeSignal, stripe_signal
+from rotaline.vision.stripe.trace import Trace, trace_ridges
+from rotaline.vision.stripe.uncertainty import pixel_noise, scatter_and_floor
 
 Method = Literal["gray-gravity", "improved-gray-gravity", "steger", "profile-fit"]
 Channel = Literal["auto", "red", "green", "blue", "grey"]
+
+_WINDOWS = (1.0, 1.5, 2.0)
 
 
 @dataclass(frozen=True)
@@ -55,71 +61,97 @@ def extract_stripe(
     ValueError
         If the two images differ in shape or type.
     """
-    signal = stripe_signal(image, background, options.channel, options.threshold, options.min_contrast)
+    signal = stripe_signal(image, background, options.channel)
     ridges = find_ridges(signal.score, options.threshold, options.min_contrast * signal.unit, options.min_length_px)
-    pieces = [_trace(signal, ridge) for ridge in ridges]
-    pieces = [piece for piece in pieces if len(piece) >= options.min_length_px]
-    return _join(pieces, signal)
+    trace = trace_ridges(ridges, signal.value, signal.clipped, options.min_length_px)
+    if trace is None:
+        return _empty()
+    return _measure(trace, signal, options)
 
 
-def _trace(signal: StripeSignal, ridge: Ridge) -> StripePoints:
-    """Refine the centres of one ridge."""
-    uv = ridge.uv
-    if len(uv) < 4:
-        return _empty()
-    smooth, _ = local_lines(uv, 3)
-    uv = resample_polyline(smooth, 1.0)
-    if len(uv) < 4:
-        return _empty()
-    width = np.full(len(uv), 1.5 * ridge.scale_px)
-    centres: Centres | None = None
-    normal = np.zeros_like(uv)
-    for last in (False, False, True):
-        smooth, tangent = local_lines(uv, 6)
-        normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
-        profiles = sample_profiles(signal.value, signal.clipped, smooth, normal, 4.0 * width + 3.0)
-        centres = weighted_centroid(profiles, width)
-        moved = np.abs(centres.shift_px) <= 2.0 * width + 1.0
-        good = moved & (centres.height > 0) & np.isfinite(centres.u_px)
-        if good.sum() < 4:
-            return _empty()
-        uv = (smooth + normal * centres.shift_px[:, None])[good]
-        if not last:
-            smooth_again, _ = local_lines(uv, 3)
-            wide = float(np.median(centres.width_px[good]))
-            uv = resample_polyline(smooth_again, 1.0)
-            if len(uv) < 4:
-                return _empty()
-            width = np.full(len(uv), min(max(wide, 0.7), 3.0 * ridge.scale_px))
-    assert centres is not None
-    noise = float(np.nanmedian(centres.noise[good])) if np.isfinite(centres.noise[good]).any() else signal.noise
-    u = centres.u_px[good] * max(noise, 0.3 * signal.unit)
-    n = int(good.sum())
+def _measure(trace: Trace, signal: StripeSignal, options: StripeOptions) -> StripePoints:
+    """Centres and uncertainties by the chosen method."""
+    profiles, width = trace.profiles, trace.width_px
+    zero = np.zeros(len(width))
+    line = side_background(profiles, zero, width)
+    rough = weighted_centroid(profiles, line.value, line.slope_variance, zero, width)
+    found = np.isfinite(rough.shift_px)
+    start = np.where(found, rough.shift_px, 0.0)
+    noise = pixel_noise(profiles, trace.chains, start, width, 0.29 * signal.unit)
+    ground, start = step_background(profiles, trace.chains, start, width, line, noise)
+    centres, floor = _centres(trace, ground, start, rough, noise, options)
+    core = np.abs(profiles.offset_px - start[:, None]) <= 1.5 * width[:, None]
+    saturated = (profiles.clipped & core).any(axis=1)
+    u = np.hypot(centres.u_px * noise, floor)
+    with np.errstate(invalid="ignore"):
+        good = found & (np.abs(centres.shift_px) <= width + 1.0) & (u < 1.0) & (centres.height > 2.5 * noise)
+        good &= centres.height > 0.5 * options.min_contrast * signal.unit
+    shift = np.where(good, centres.shift_px, 0.0)
+    moved = Chains(trace.chains.uv + trace.normal * shift[:, None], trace.chains.chain)
+    tangent = np.column_stack([trace.normal[:, 1], -trace.normal[:, 0]])
+    chains, kept = break_chains(moved, tangent, good, max(4, int(options.min_length_px)))
     return StripePoints(
-        uv=uv,
-        normal=normal[good],
-        width_px=centres.width_px[good],
-        intensity=centres.height[good],
-        u_normal_px=u,
-        saturated=centres.saturated[good],
-        segment=np.zeros(n, dtype=np.int64),
+        uv=chains.uv,
+        normal=trace.normal[kept],
+        width_px=centres.width_px[kept],
+        intensity=centres.height[kept],
+        u_normal_px=u[kept],
+        saturated=saturated[kept],
+        segment=chains.chain,
     )
 
 
-def _join(pieces: list[StripePoints], signal: StripeSignal) -> StripePoints:
-    """Number the pieces and put them in one value."""
-    if not pieces:
-        return _empty()
-    segment = np.concatenate([np.full(len(piece), k, dtype=np.int64) for k, piece in enumerate(pieces)])
-    return StripePoints(
-        np.concatenate([piece.uv for piece in pieces]),
-        np.concatenate([piece.normal for piece in pieces]),
-        np.concatenate([piece.width_px for piece in pieces]),
-        np.concatenate([piece.intensity for piece in pieces]),
-        np.concatenate([piece.u_normal_px for piece in pieces]),
-        np.concatenate([piece.saturated for piece in pieces]),
-        segment,
-    )
+def _centres(
+    trace: Trace,
+    ground: Background,
+    start: Float[np.ndarray, " n"],
+    rough: Centres,
+    noise: Float[np.ndarray, " n"],
+    options: StripeOptions,
+) -> tuple[Centres, float]:
+    """Centres, and the floor of their uncertainty."""
+    profiles, width = trace.profiles, trace.width_px
+    if options.method == "profile-fit":
+        centres = fit_gaussian(profiles, ground.value, start, width, rough.height)
+        return centres, _scatter(trace, centres, noise)[1]
+    best: tuple[float, float, Centres] | None = None
+    for window in _WINDOWS:
+        centres = weighted_centroid(profiles, ground.value, ground.slope_variance, start, width, window)
+        scatter, floor = _scatter(trace, centres, noise)
+        if best is None or scatter < 0.9 * best[0]:
+            best = (scatter, floor, centres)
+        if floor < 0.5 * scatter:
+            break  # the noise of the pixels explains the scatter: the narrow window is the best
+    assert best is not None
+    return _replace_clipped(best[2], profiles, ground, start, width, rough), best[1]
+
+
+def _replace_clipped(
+    centres: Centres,
+    profiles: Profiles,
+    ground: Background,
+    start: Float[np.ndarray, " n"],
+    width: Float[np.ndarray, " n"],
+    rough: Centres,
+) -> Centres:
+    """Where samples are clipped, a Gaussian through the others takes the centroid's place, if there are enough."""
+    clipped = profiles.clipped.any(axis=1)
+    if not clipped.any():
+        return centres
+    part = profiles.select(clipped)
+    fit = fit_gaussian(part, ground.value[clipped], start[clipped], width[clipped], 1.5 * rough.height[clipped], False)
+    replace = np.isfinite(fit.shift_px) & (np.abs(fit.shift_px - start[clipped]) < width[clipped])
+    index = np.flatnonzero(clipped)[replace]
+    shift, u, wide = centres.shift_px.copy(), centres.u_px.copy(), centres.width_px.copy()
+    shift[index], u[index], wide[index] = fit.shift_px[replace], fit.u_px[replace], fit.width_px[replace]
+    return Centres(shift, u, wide, centres.height)
+
+
+def _scatter(trace: Trace, centres: Centres, noise: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """Scatter of centres along their chains, and its part that the noise does not explain."""
+    good = np.isfinite(centres.shift_px)
+    uv = trace.chains.uv + trace.normal * np.where(good, centres.shift_px, 0.0)[:, None]
+    return scatter_and_floor(Chains(uv, trace.chains.chain), trace.normal, np.where(good, centres.u_px * noise, 9.0))
 
 
 def _empty() -> StripePoints:

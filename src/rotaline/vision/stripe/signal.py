@@ -20,7 +20,6 @@ class StripeSignal:
     value : (h, w)   grey values in which the centre is measured
     clipped : (h, w)   pixels of ``value`` at the top of the range
     unit : float   one grey value of an 8 bit image (1 or 257)
-    noise : float   rough noise of a pixel
     channel : str   channel that was taken
     """
 
@@ -28,13 +27,10 @@ class StripeSignal:
     value: Float32[np.ndarray, "h w"]
     clipped: Bool[np.ndarray, "h w"] | None
     unit: float
-    noise: float
     channel: str
 
 
-def stripe_signal(
-    image: Image, background: Image | None, channel: str, threshold: float, min_contrast: float
-) -> StripeSignal:
+def stripe_signal(image: Image, background: Image | None, channel: str) -> StripeSignal:
     """Choose the channel and subtract the background."""
     if background is not None and (background.shape != image.shape or background.dtype != image.dtype):
         raise ValueError(
@@ -49,7 +45,7 @@ def stripe_signal(
         value = image.astype(np.float32)
         if background is not None:
             value -= background
-        return StripeSignal(value, value, clipped if clipped.any() else None, unit, unit, "grey")
+        return StripeSignal(value, value, clipped if clipped.any() else None, unit, "grey")
     planes = image.astype(np.float32)
     if background is not None:
         planes -= background
@@ -66,4 +62,4 @@ def stripe_signal(
     score = value
     if channel == "auto":
         score = planes[:, :, 0] - 0.5 * (planes[:, :, 1] + planes[:, :, 2])
-    return StripeSignal(score, value, clipped if clipped.any() else None, unit, unit, channel)
+    return StripeSignal(score, value, clipped if clipped.any() else None, unit, channel)

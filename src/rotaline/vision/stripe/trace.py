@@ -1,0 +1,102 @@
+"""From ridges to curves: ordered centres at a spacing of one pixel, with the stripe's normal and width at each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from rotaline.vision.stripe.background import side_background
+from rotaline.vision.stripe.centres import weighted_centroid
+from rotaline.vision.stripe.curve import Chains, break_chains, local_lines, resample
+from rotaline.vision.stripe.profiles import Profiles, sample_profiles
+from rotaline.vision.stripe.ridges import Ridge
+
+_WINDOW = 6  # points on either side that settle the direction
+_LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.6, 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """The stripe to about a tenth of a pixel, ready to be measured.
+
+    Attributes
+    ----------
+    chains : Chains   smoothed centres, one a pixel of length
+    normal : (n, 2)   unit normals
+    width_px : (n,)   standard deviation of the profile, averaged along the stripe
+    profiles : Profiles   along the normals
+    """
+
+    chains: Chains
+    normal: Float[np.ndarray, "n 2"]
+    width_px: Float[np.ndarray, " n"]
+    profiles: Profiles
+
+    def select(self, keep: Bool[np.ndarray, " n"]) -> "Trace":
+        """The points for which ``keep`` is true."""
+        chains = Chains(self.chains.uv[keep], self.chains.chain[keep])
+        return Trace(chains, self.normal[keep], self.width_px[keep], self.profiles.select(keep))
+
+
+def trace_ridges(
+    ridges: list[Ridge],
+    value: Float32[np.ndarray, "h w"],
+    clipped: Bool[np.ndarray, "h w"] | None,
+    min_length_px: float,
+    n_passes: int = 2,
+) -> Trace | None:
+    """Follow the ridges at full resolution; None where nothing is left.
+
+    Each pass takes profiles along the present normals, moves the points to the centroids, breaks the chains where the
+    centres jump, and spaces the points equally again.
+    """
+    if not ridges:
+        return None
+    chains, width = _start(ridges)
+    least = max(4, int(min_length_px))
+    for k in range(n_passes):
+        _, tangent = local_lines(chains, _WINDOW, 0.3)
+        normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+        profiles = sample_profiles(value, clipped, chains.uv, normal, 3.5 * width + 3.0)
+        start = np.zeros(len(width))
+        background = side_background(profiles, start, width)
+        centres = weighted_centroid(profiles, background.value, background.slope_variance, start, width)
+        good = (np.abs(centres.shift_px) <= 1.5 * width + 1.0) & (centres.height > 0)
+        moved = Chains(chains.uv + normal * np.where(good, centres.shift_px, 0.0)[:, None], chains.chain)
+        measured = np.where(good, np.clip(centres.width_px, _LEAST_WIDTH_PX, _MOST_WIDTH_PX), width)
+        chains, kept = break_chains(moved, tangent, good, least if k else max(4, least // 2))
+        if len(chains) == 0:
+            return None
+        width = chains.window_mean(measured[kept], 10)
+        dense = resample(Chains(local_lines(chains, 3)[0], chains.chain))
+        width = _carry(chains, width, dense)
+        chains = dense
+    count = np.bincount(chains.chain)
+    long = count[chains.chain] >= least
+    if not long.any():
+        return None
+    chains, width = Chains(chains.uv[long], chains.chain[long]), width[long]
+    _, tangent = local_lines(chains, _WINDOW)
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    return Trace(chains, normal, width, sample_profiles(value, clipped, chains.uv, normal, 4.0 * width + 4.0))
+
+
+def _start(ridges: list[Ridge]) -> tuple[Chains, Float[np.ndarray, " n"]]:
+    """The ridges as chains of points one pixel apart, and a first guess of the widths."""
+    coarse = Chains(
+        np.concatenate([ridge.uv for ridge in ridges]),
+        np.concatenate([np.full(len(ridge.uv), k, dtype=np.int64) for k, ridge in enumerate(ridges)]),
+    )
+    scale = np.array([ridge.scale_px for ridge in ridges])
+    smooth, _ = local_lines(coarse, 2, 0.3)
+    fine = (scale == 1.0)[coarse.chain]
+    chains = resample(Chains(np.where(fine[:, None], coarse.uv, smooth), coarse.chain))
+    return chains, 1.5 * scale[chains.chain]
+
+
+def _carry(old: Chains, values: np.ndarray, new: Chains) -> np.ndarray:
+    """Values of one set of chains at the points of another set with the same chains, by the place along the chain."""
+    out = np.empty(len(new))
+    for (a, b), (c, d) in zip(old.spans(), new.spans(), strict=True):
+        out[c:d] = np.interp(np.linspace(0.0, 1.0, d - c), np.linspace(0.0, 1.0, b - a), values[a:b])
+    return out
