@@ -1,0 +1,147 @@
+"""Pictures of fitted features: the points and their residuals in colour, unrolled or along the profile, and a histogram."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from rotaline.io.report import style
+from rotaline.io.report.contents import FittedPoints
+from rotaline.io.report.raster import render_points, views_around
+from rotaline.metrology.model import FeatureMeasurement
+
+_MOST_POINTS = 12000
+
+
+@dataclass(frozen=True, eq=False)
+class _Chart:
+    """Points of a feature in the two coordinates that suit it."""
+
+    title: str
+    xlabel: str
+    ylabel: str
+    x: Float[np.ndarray, " n"]
+    y: Float[np.ndarray, " n"]
+    equal: bool
+
+
+def fit(measurement: FeatureMeasurement, fitted: FittedPoints) -> Figure:
+    """Points in space, a chart of the residuals that suits the feature, and their histogram."""
+    figure = style.new_figure(style.FULL_INCH, 3.0)
+    ax_space, ax_chart, ax_histogram = figure.subplots(1, 3, width_ratios=(0.95, 1.25, 0.9))
+    ok = np.isfinite(fitted.points_table).all(axis=1) & np.isfinite(fitted.residuals_mm)
+    pick = np.flatnonzero(ok)[style.thinned(int(ok.sum()), _MOST_POINTS)]
+    points, residuals = fitted.points_table[pick], fitted.residuals_mm[pick] * 1e3
+    if len(points) == 0:
+        for ax in (ax_space, ax_chart, ax_histogram):
+            style.nothing_to_draw(ax, "no points")
+        return figure
+    limit = style.symmetric_limit(residuals)
+    mappable = ScalarMappable(Normalize(-limit, limit), style.DIVERGING)
+    _space(ax_space, points, residuals, mappable)
+    chart = _chart(measurement, points)
+    order = np.argsort(np.abs(residuals))
+    ax_chart.scatter(
+        chart.x[order],
+        chart.y[order],
+        c=residuals[order],
+        s=float(np.clip(9000.0 / len(points), 1.2, 9.0)),
+        cmap=style.DIVERGING,
+        norm=mappable.norm,
+        linewidths=0,
+        rasterized=True,
+    )
+    if chart.equal:
+        ax_chart.set_aspect("equal", adjustable="datalim")
+    style.style_axes(ax_chart, chart.title, chart.xlabel, chart.ylabel)
+    style.colour_bar(figure, mappable, ax_chart, "residual, outside + [µm]")
+    _histogram(ax_histogram, residuals, limit)
+    return figure
+
+
+def _space(
+    ax: Axes, points: Float[np.ndarray, "n 3"], residuals: Float[np.ndarray, " n"], mappable: ScalarMappable
+) -> None:
+    (view,) = views_around(points, ((25.0, 24.0),), (520, 460))
+    colours = np.asarray(mappable.to_rgba(residuals)[:, :3], dtype=float)
+    ax.imshow(render_points(points, colours, view, float(np.clip(180.0 / np.sqrt(len(points)), 1.3, 4.0))))
+    ax.set_axis_off()
+    style.style_axes(ax, "Points used by the fit", grid=False)
+    length_mm = style.round_down_125(0.3 * 520 * view.mm_per_px)
+    ax.plot([15, 15 + length_mm / view.mm_per_px], [445, 445], color=style.INK, lw=2.0, solid_capstyle="butt")
+    ax.text(15, 437, f"{length_mm:g} mm", fontsize=7.5, color=style.INK, va="bottom")
+
+
+def _histogram(ax: Axes, residuals: Float[np.ndarray, " n"], limit: float) -> None:
+    reach = 1.3 * limit
+    bins = np.linspace(-reach, reach, 61)
+    ax.hist(np.clip(residuals, -reach, reach), bins=bins.tolist(), color=style.SKY, edgecolor="none")
+    rms = float(np.sqrt(np.mean(residuals**2)))
+    for x in (-rms, rms):
+        ax.axvline(x, color=style.VERMILION, lw=1.0)
+    ax.axvline(float(np.mean(residuals)), color=style.INK, lw=1.0, ls="--")
+    style.style_axes(ax, "Residuals (red: ± RMS, dashed: mean)", "residual [µm]", "points")
+
+
+def _chart(measurement: FeatureMeasurement, points: Float[np.ndarray, "n 3"]) -> _Chart:
+    geometry = measurement.geometry
+    if measurement.feature == "sphere":
+        centre = _vector(geometry, "centre")
+        if centre is not None:
+            d = points - centre
+            longitude = np.rad2deg(np.arctan2(d[:, 1], d[:, 0]))
+            latitude = np.rad2deg(np.arcsin(np.clip(d[:, 2] / np.linalg.norm(d, axis=1), -1, 1)))
+            return _Chart("Residuals over the sphere", "longitude [deg]", "latitude [deg]", longitude, latitude, False)
+    if measurement.feature in ("cylinder", "stepped-cylinder"):
+        point, direction = _vector(geometry, "axis_point"), _vector(geometry, "axis_direction")
+        if point is not None and direction is not None:
+            direction = direction / np.linalg.norm(direction)
+            direction = -direction if direction[2] < 0 else direction
+            along = (points - point) @ direction
+            seed = np.array([1.0, 0.0, 0.0]) if abs(direction[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+            u = seed - (seed @ direction) * direction
+            u = u / np.linalg.norm(u)
+            angle = np.rad2deg(np.arctan2((points - point) @ np.cross(direction, u), (points - point) @ u))
+            return _Chart(
+                "Residuals, unrolled", "angle about the fitted axis [deg]", "along the axis [mm]", angle, along, False
+            )
+    if measurement.feature in ("groove", "step"):
+        along, up = _vector(geometry, "direction"), _vector(geometry, "normal")
+        if up is not None:
+            up = up / np.linalg.norm(up)
+            if along is None:
+                along = _main_direction(points, up)
+            run = np.cross(along / np.linalg.norm(along), up)
+            centre = points.mean(axis=0)
+            return _Chart(
+                "Residuals along the profile",
+                "across the feature [mm]",
+                "along the normal [mm]",
+                (points - centre) @ run,
+                (points - centre) @ up,
+                False,
+            )
+    centre = points.mean(axis=0)
+    _, _, axes = np.linalg.svd(points[style.thinned(len(points), 3000)] - centre, full_matrices=False)
+    flat = (points - centre) @ axes[:2].T
+    return _Chart("Residuals, seen along the normal", "[mm]", "[mm]", flat[:, 0], flat[:, 1], True)
+
+
+def _vector(geometry: dict[str, float | list[float]], key: str) -> Float[np.ndarray, "3"] | None:
+    """A vector of the geometry, or None if it is absent or unusable."""
+    value = geometry.get(key)
+    if not isinstance(value, list) or len(value) != 3 or not np.isfinite(value).all():
+        return None
+    return np.array(value, dtype=float)
+
+
+def _main_direction(points: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The direction across ``normal`` in which the points reach furthest."""
+    flat = points - points.mean(axis=0)
+    flat = flat - (flat @ normal)[:, None] * normal
+    _, _, axes = np.linalg.svd(flat[style.thinned(len(flat), 3000)], full_matrices=False)
+    return np.asarray(axes[0])

@@ -1,0 +1,128 @@
+"""Pictures of scans: clouds and surfaces from several viewpoints (figure 16 of the article), points a frame."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from rotaline.io.report import style
+from rotaline.io.report.raster import View, render_mesh, render_points, views_around
+from rotaline.scanning.cloud import PointCloud
+
+VIEWPOINTS_DEG = ((20.0, 22.0), (140.0, 22.0), (260.0, 22.0), (20.0, 89.0))
+VIEWPOINT_NAMES = ("20° from x", "140° from x", "260° from x", "from above")
+_PANEL_PX = (520, 480)
+
+
+def cloud_views(cloud: PointCloud) -> Figure:
+    """The cloud from four viewpoints, coloured by height."""
+    points, _ = _finite(cloud.points_table)
+    figure = style.new_figure(style.FULL_INCH, 2.75)
+    axes = figure.subplots(1, 4)
+    if len(points) == 0:
+        return _empty(axes, figure, "no points")
+    values = points[:, 2]
+    views = views_around(points, VIEWPOINTS_DEG, _PANEL_PX)
+    mappable = _mappable(values, style.SEQUENTIAL)
+    for ax, view, name in zip(axes, views, VIEWPOINT_NAMES, strict=True):
+        _panel(ax, _draw_points(points, values, mappable, view), view, name)
+    style.colour_bar(figure, mappable, axes, "z, table frame [mm]", shrink=0.8)
+    return figure
+
+
+def cloud_attributes(cloud: PointCloud) -> Figure:
+    """The cloud by intensity, by standard uncertainty and by table angle."""
+    points, pick = _finite(cloud.points_table)
+    figure = style.new_figure(style.FULL_INCH, 2.75)
+    axes = figure.subplots(1, 3)
+    if len(points) == 0:
+        return _empty(axes, figure, "no points")
+    directions = (VIEWPOINTS_DEG[0], VIEWPOINTS_DEG[0], VIEWPOINTS_DEG[3])
+    views = views_around(points, directions, _PANEL_PX)
+    shown = (
+        (cloud.intensity[pick], "cividis", "intensity [grey values]", "Intensity"),
+        (cloud.u_mm[pick] * 1e3, "plasma", "u, k = 1 [µm]", "Standard uncertainty from the stripe"),
+        (np.rad2deg(cloud.angle_rad[pick]) % 360.0, "twilight", "table angle [deg]", "Table angle"),
+    )
+    for ax, view, (values, colours, label, title) in zip(axes, views, shown, strict=True):
+        mappable = _mappable(values, colours)
+        if not np.isfinite(values).any():
+            style.nothing_to_draw(ax, f"{title}: not known")
+            continue
+        _panel(ax, _draw_points(points, values, mappable, view), view, title)
+        style.colour_bar(figure, mappable, ax, label, shrink=0.75)
+    return figure
+
+
+def points_by_frame(cloud: PointCloud, n_points: int) -> Figure:
+    """Points of each frame over the table angle (counts scaled up if the cloud was thinned)."""
+    figure = style.new_figure(style.FULL_INCH, 2.0)
+    ax = figure.add_subplot()
+    if len(cloud) == 0:
+        style.nothing_to_draw(ax, "no points")
+        return figure
+    _, first, counts = np.unique(cloud.frame, return_index=True, return_counts=True)
+    angles = np.rad2deg(cloud.angle_rad[first]) % 360.0
+    order = np.argsort(angles)
+    scaled = counts * (n_points / len(cloud))
+    ax.plot(angles[order], scaled[order], ".", color=style.BLUE, markersize=4, markeredgewidth=0)
+    ax.set_ylim(bottom=0)
+    ax.set_xlim(-3, 363)
+    ax.set_xticks(np.arange(0, 361, 45))
+    style.style_axes(ax, "", "table angle [deg]", "points a frame")
+    return figure
+
+
+def mesh_views(vertices_table: Float[np.ndarray, "v 3"], triangles: Int[np.ndarray, "t 3"]) -> Figure:
+    """The surface from four viewpoints with shading."""
+    figure = style.new_figure(style.FULL_INCH, 2.75)
+    axes = figure.subplots(1, 4)
+    used = vertices_table[np.unique(triangles)] if len(triangles) else np.zeros((0, 3))
+    if len(used) == 0:
+        return _empty(axes, figure, "no triangles")
+    for ax, view, name in zip(axes, views_around(used, VIEWPOINTS_DEG, _PANEL_PX), VIEWPOINT_NAMES, strict=True):
+        _panel(ax, render_mesh(vertices_table, triangles, view), view, name)
+    return figure
+
+
+def _finite(points: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "m 3"], Int[np.ndarray, " m"]]:
+    pick = np.flatnonzero(np.isfinite(points).all(axis=1))
+    return points[pick], pick
+
+
+def _mappable(values: Float[np.ndarray, " n"], colours: str) -> ScalarMappable:
+    low, high = style.robust_range(values, 1.0)
+    return ScalarMappable(Normalize(low, high), colormaps[colours])
+
+
+def _draw_points(
+    points: Float[np.ndarray, "n 3"], values: Float[np.ndarray, " n"], mappable: ScalarMappable, view: View
+) -> UInt8[np.ndarray, "h w 3"]:
+    known = np.isfinite(values)
+    colours = np.asarray(mappable.to_rgba(values[known])[:, :3], dtype=float)
+    radius = float(np.clip(1.6 * np.sqrt(20000.0 / max(1, len(points))), 0.8, 2.6))
+    return render_points(points[known], colours, view, radius)
+
+
+def _panel(ax: Axes, picture: UInt8[np.ndarray, "h w 3"], view: View, title: str) -> None:
+    """A rendered picture with a scale bar in mm."""
+    height, width = picture.shape[:2]
+    ax.imshow(picture, interpolation="lanczos")
+    ax.set_axis_off()
+    ax.set_title(title, fontsize=8.5, color=style.INK, loc="left", fontweight="bold")
+    length_mm = style.round_down_125(0.3 * width * view.mm_per_px)
+    length_px = length_mm / view.mm_per_px
+    u, v = 0.03 * width, 0.965 * height
+    ax.plot([u, u + length_px], [v, v], color=style.INK, lw=2.0, solid_capstyle="butt")
+    ax.text(u, v - 0.02 * height, f"{length_mm:g} mm", fontsize=7.5, color=style.INK, va="bottom")
+
+
+def _empty(axes: Any, figure: Figure, text: str) -> Figure:
+    for ax in axes:
+        style.nothing_to_draw(ax, text)
+    return figure

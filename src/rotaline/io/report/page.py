@@ -1,0 +1,150 @@
+"""What a page of the report consists of: sections with a judgement, tables and pictures. Plain values for the template."""
+
+import dataclasses
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from matplotlib.figure import Figure
+
+from rotaline.io.report import style
+from rotaline.io.report.contents import StageWarning
+
+Level = Literal["good", "fair", "poor", "none"]
+"""How a judgement is marked: fine, look at it, do not rely on it, no judgement."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An inline picture; ``source`` is a data URI, empty if it could not be drawn (then ``failure`` says why)."""
+
+    source: str
+    caption: str
+    width: Literal["full", "half", "third"] = "full"
+    failure: str = ""
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class Column:
+    """A table column; ``unit`` stands below the label; numbers are right-aligned."""
+
+    label: str
+    unit: str = ""
+    numeric: bool = True
+
+
+@dataclass(frozen=True)
+class Row:
+    """Cells as text; ``kind`` is ``plain``, ``dim`` (left out), ``total`` or ``failed``.
+
+    A failed row has a text instead of numbers: its last cell runs to the end of the row.
+    """
+
+    cells: tuple[str, ...]
+    kind: Literal["plain", "dim", "total", "failed"] = "plain"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with its caption; ``note`` stands below it."""
+
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    note: str = ""
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A sub-heading within a section."""
+
+    text: str
+    is_heading: bool = True
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A paragraph."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """Pictures side by side, as their widths allow."""
+
+    pictures: tuple[Picture, ...]
+
+
+Block = Table | Gallery | Heading | Paragraph
+
+
+@dataclass(frozen=True)
+class Section:
+    """One section. A stage that was not done has only ``missing``, a sentence that says so."""
+
+    anchor: str
+    title: str
+    judgement: str = ""
+    level: Level = "none"
+    warnings: tuple[StageWarning, ...] = ()
+    blocks: tuple[Block, ...] = ()
+    missing: str = ""
+
+
+@dataclass(frozen=True)
+class KeyFigure:
+    """A figure at the top of the report."""
+
+    label: str
+    value: str
+    unit: str
+    remark: str = ""
+
+
+def picture(
+    draw: Callable[[], Figure],
+    caption: str,
+    width: Literal["full", "half", "third"] = "full",
+    form: Literal["svg", "png", "jpeg"] = "svg",
+) -> Picture:
+    """Draw a picture and put it inline.
+
+    A picture that cannot be drawn must not cost the report: its place says what went wrong, and the log has the trace.
+    """
+    try:
+        figure = draw()
+        source = {"svg": style.svg_uri, "png": style.png_uri, "jpeg": style.jpeg_uri}[form](figure)
+    except Exception as error:
+        _log.warning("A picture of the report could not be drawn: %s", caption, exc_info=True)
+        return Picture(
+            "", caption, width, failure=f"This picture could not be drawn ({type(error).__name__}: {error})."
+        )
+    return Picture(source, caption, width)
+
+
+def numbered(sections: Sequence[Section]) -> tuple[Section, ...]:
+    """The sections with their figures and tables numbered in the order of the page."""
+    figures, tables = 0, 0
+    out = []
+    for section in sections:
+        blocks: list[Block] = []
+        for block in section.blocks:
+            if isinstance(block, Table):
+                tables += 1
+                blocks.append(dataclasses.replace(block, number=tables))
+            elif isinstance(block, Gallery):
+                pictures = []
+                for one in block.pictures:
+                    figures += 1
+                    pictures.append(dataclasses.replace(one, number=figures))
+                blocks.append(Gallery(tuple(pictures)))
+            else:
+                blocks.append(block)
+        out.append(dataclasses.replace(section, blocks=tuple(blocks)))
+    return tuple(out)

@@ -1,0 +1,21 @@
+"""Camera frames with what was found in them, for any stage."""
+
+from rotaline.io.report.contents import FrameOverlay, ReportContents
+from rotaline.io.report.figures import frames
+from rotaline.io.report.page import Gallery, Picture, picture
+from rotaline.io.report.warnings import stage_key
+
+
+def overlay_blocks(contents: ReportContents, stage: str, capture: str = "") -> tuple[Gallery, ...]:
+    """The overlays of a stage (and of one capture) side by side; nothing if there are none."""
+    chosen = [
+        o
+        for o in contents.overlays
+        if stage_key(o.stage) == stage and (not capture or o.name == capture or o.name.startswith(f"{capture}/"))
+    ]
+    return (Gallery(tuple(_overlay(o) for o in chosen)),) if chosen else ()
+
+
+def _overlay(frame: FrameOverlay) -> Picture:
+    caption = f"{frame.name}: {frame.caption}" if frame.caption else frame.name
+    return picture(lambda: frames.overlay(frame), caption, "third", "jpeg")

@@ -1,0 +1,263 @@
+"""The results at the top of the report: the table of measured features, and before / after the axis optimisation."""
+
+from collections import defaultdict
+
+import numpy as np
+
+from rotaline.io.report import numbers
+from rotaline.io.report.contents import ReportContents
+from rotaline.io.report.page import Block, Column, KeyFigure, Level, Paragraph, Row, Section, Table
+from rotaline.io.report.warnings import warnings_of
+from rotaline.io.results import MeasurementEntry
+
+_KIND_TITLES = {
+    "stepped-cylinder": "Stepped cylinder (the article's table 2)",
+    "sphere": "Sphere (the article's table 3)",
+    "cylinder": "Cylinder (the article's table 4)",
+    "groove": "Groove (the article's table 5)",
+    "step": "Step",
+    "plane": "Plane",
+}
+
+
+def section(contents: ReportContents) -> Section:
+    """The summary table and the tables with the initial and the optimised axis."""
+    entries = contents.measurements
+    if not entries:
+        return Section(
+            "results",
+            "Measured features",
+            missing="Nothing was to be measured: the session names no [[measurements]] and has no artefact captures.",
+        )
+    n_failed = sum(e.measurement is None for e in entries)
+    judgement, level = _judge(contents, n_failed)
+    blocks: list[Block] = [_summary(entries)]
+    comparisons = _comparisons(entries, contents.measurements_initial_axis)
+    if comparisons:
+        blocks.append(Paragraph(_comparison_text(contents)))
+        blocks += comparisons
+    return Section(
+        "results", "Measured features", judgement, level, warnings_of("measure", contents.warnings), tuple(blocks)
+    )
+
+
+def key_figures(contents: ReportContents) -> tuple[KeyFigure, ...]:
+    """The figures that a reader looks for first."""
+    figures = []
+    if contents.camera is not None:
+        used = sum(v.used for v in contents.camera.views)
+        figures.append(
+            KeyFigure(
+                "Camera, reprojection RMS",
+                numbers.fixed(contents.camera.rms_px, 3),
+                "px",
+                f"{used} of {numbers.plural(len(contents.camera.views), 'view')}",
+            )
+        )
+    if contents.laser_plane is not None:
+        used = sum(v.used for v in contents.laser_plane.views)
+        figures.append(
+            KeyFigure(
+                "Laser plane, RMS",
+                numbers.um(contents.laser_plane.rms_mm),
+                "µm",
+                f"{used} of {numbers.plural(len(contents.laser_plane.views), 'pose')}",
+            )
+        )
+    if contents.cross_ratio is not None:
+        result = contents.cross_ratio
+        figures.append(
+            KeyFigure(
+                "Laser plane, interval RMSE",
+                f"{numbers.um(result.rmse_before_mm)} → {numbers.um(result.rmse_after_mm)}",
+                "µm",
+                "optimised plane used" if result.accepted else "optimised plane not used",
+            )
+        )
+    if contents.artifact is not None:
+        result_a = contents.artifact
+        figures.append(
+            KeyFigure(
+                "Axis, mean distance",
+                f"{numbers.um(result_a.mean_distance_before_mm)} → {numbers.um(result_a.mean_distance_mm)}",
+                "µm",
+                numbers.plural(len(result_a.mounts), "mount"),
+            )
+        )
+    elif contents.axis is not None:
+        figures.append(KeyFigure("Initial axis, circles RMS", numbers.um(contents.axis.rms_mm), "µm", "not optimised"))
+    errors = _errors(contents.measurements)
+    if errors:
+        figures.append(
+            KeyFigure(
+                "Largest error against a reference",
+                numbers.um(max(abs(e) for e in errors)),
+                "µm",
+                f"of {numbers.plural(len(errors), 'quantity', 'quantities')}",
+            )
+        )
+    return tuple(figures)
+
+
+def quantity(key: str) -> str:
+    """How a key of a measurement is called: ``diameter_small`` -> ``diameter, small``."""
+    return key.replace("_", ", ", 1).replace("_", " ")
+
+
+def _errors(entries: tuple[MeasurementEntry, ...]) -> list[float]:
+    return [error for entry in entries for error in entry.error.values() if np.isfinite(error)]
+
+
+def _judge(contents: ReportContents, n_failed: int) -> tuple[str, Level]:
+    entries = contents.measurements
+    n = len(entries)
+    text = f"{n - n_failed} of {numbers.plural(n, 'feature')} measured."
+    errors = _errors(entries)
+    if errors:
+        text += (
+            f" Against {numbers.plural(len(errors), 'reference value')} the mean magnitude of the error is "
+            f"{numbers.um(float(np.mean(np.abs(errors))))} µm, the largest {numbers.um(max(abs(e) for e in errors))} µm."
+        )
+    else:
+        text += " No reference values were given, so nothing here says how true the values are."
+    return text, "poor" if n_failed else "none"
+
+
+def _summary(entries: tuple[MeasurementEntry, ...]) -> Table:
+    columns = (
+        Column("Capture", numeric=False),
+        Column("Feature", numeric=False),
+        Column("Quantity", numeric=False),
+        Column("Value", "mm"),
+        Column("u (k = 1)", "µm"),
+        Column("Reference", "mm"),
+        Column("Error", "mm"),
+        Column("RMS", "mm"),
+        Column("Form error", "mm"),
+        Column("Coverage", "%"),
+        Column("Points", "n"),
+    )
+    rows = []
+    for entry in entries:
+        name = entry.name if entry.name and entry.name != entry.feature else ""
+        label = f"{entry.feature} – {name}" if name else entry.feature
+        m = entry.measurement
+        if m is None:
+            rows.append(Row((entry.capture, label, f"not measured. {entry.failure}"), "failed"))
+            continue
+        for i, (key, value) in enumerate(m.value.items()):
+            head = (entry.capture, label) if i == 0 else ("", "")
+            tail = (
+                (numbers.mm(m.rms), numbers.mm(m.form_error), numbers.percent(m.coverage, 0), numbers.count(m.n_points))
+                if i == 0
+                else ("", "", "", "")
+            )
+            rows.append(
+                Row(
+                    (
+                        *head,
+                        quantity(key),
+                        numbers.mm(value),
+                        numbers.um(m.uncertainty.get(key)),
+                        numbers.mm(entry.reference.get(key)),
+                        numbers.mm(entry.error.get(key), signed=True),
+                        *tail,
+                    )
+                )
+            )
+    return Table(
+        "Measured features, with the final calibration.",
+        columns,
+        tuple(rows),
+        "Error: value minus reference. u: standard uncertainty (k = 1) from the scatter of the points about the fit only; errors of "
+        "the calibration are common to all points and not in it, so an error may well be larger than u. RMS: residuals of "
+        "all points. Form error: their range without the outermost 0.5 % on either side.",
+    )
+
+
+def _comparison_text(contents: ReportContents) -> str:
+    if contents.measurements_initial_axis:
+        return (
+            "The same scans, evaluated with the initial rotation axis (before) and with the axis optimised by the stepped "
+            "cylinder (after). Errors are value minus reference; averages are those of their magnitudes."
+        )
+    return "Errors are value minus reference; averages are those of their magnitudes. There is only one axis, so there is no before and after."
+
+
+def _comparisons(after: tuple[MeasurementEntry, ...], before: tuple[MeasurementEntry, ...]) -> list[Table]:
+    """One table a kind of feature, a row for each quantity that has a reference."""
+    earlier = {(e.capture, e.feature, e.name): e for e in before}
+    kinds: dict[str, dict[str, list[tuple[MeasurementEntry, float | None]]]] = defaultdict(lambda: defaultdict(list))
+    for entry in after:
+        first = earlier.get((entry.capture, entry.feature, entry.name))
+        for key in entry.error:
+            kinds[entry.feature][key].append((entry, first.error.get(key) if first is not None else None))
+    return [_comparison(kind, by_key, bool(before)) for kind, by_key in kinds.items()]
+
+
+def _comparison(kind: str, by_key: dict[str, list[tuple[MeasurementEntry, float | None]]], with_before: bool) -> Table:
+    columns = [
+        Column("Quantity", numeric=False),
+        Column("Capture", numeric=False),
+        Column("Reference", "mm"),
+        Column("Error before", "mm"),
+        Column("Value after", "mm"),
+        Column("Error after", "mm"),
+        Column("Relative error", "%"),
+        Column("Reduced by", "%"),
+    ]
+    rows = []
+    for key, pairs in by_key.items():
+        for i, (entry, error_before) in enumerate(pairs):
+            assert entry.measurement is not None
+            error, reference = entry.error[key], entry.reference[key]
+            rows.append(
+                Row(
+                    (
+                        quantity(key) if i == 0 else "",
+                        entry.capture,
+                        numbers.mm(reference),
+                        numbers.mm(error_before, signed=True),
+                        numbers.mm(entry.measurement.value[key]),
+                        numbers.mm(error, signed=True),
+                        numbers.percent(abs(error) / abs(reference) if reference else None, 4),
+                        numbers.percent(_reduction(error_before, error), 2),
+                    )
+                )
+            )
+        if len(pairs) > 1:
+            mean_after = float(np.mean([abs(entry.error[key]) for entry, _ in pairs]))
+            known = [abs(b) for _, b in pairs if b is not None]
+            mean_before = float(np.mean(known)) if len(known) == len(pairs) else None
+            relative = float(
+                np.mean([abs(e.error[key] / e.reference[key]) for e, _ in pairs if e.reference[key]] or [np.nan])
+            )
+            rows.append(
+                Row(
+                    (
+                        "",
+                        "Average of |error|",
+                        "",
+                        numbers.mm(mean_before),
+                        "",
+                        numbers.mm(mean_after),
+                        numbers.percent(relative, 4),
+                        numbers.percent(_reduction(mean_before, mean_after), 2),
+                    ),
+                    "total",
+                )
+            )
+    if not with_before:
+        drop = {3, 7}
+        columns = [
+            Column(c.label.replace(" after", ""), c.unit, c.numeric) for i, c in enumerate(columns) if i not in drop
+        ]
+        rows = [Row(tuple(c for i, c in enumerate(r.cells) if i not in drop), r.kind) for r in rows]
+    title = _KIND_TITLES.get(kind, kind)
+    when = ": errors with the initial axis (before) and the optimised axis (after)" if with_before else ": errors"
+    return Table(f"{title}{when}.", tuple(columns), tuple(rows))
+
+
+def _reduction(before: float | None, after: float) -> float | None:
+    """Share by which the magnitude of an error went down; negative where it grew."""
+    return 1.0 - abs(after) / abs(before) if before else None

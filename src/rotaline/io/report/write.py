@@ -1,0 +1,70 @@
+"""Writing the report: one HTML file that needs nothing else."""
+
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
+
+from rotaline.io.files import whole_file
+from rotaline.io.report.contents import ReportContents, StageWarning
+from rotaline.io.report.page import Section, numbered
+from rotaline.io.report.sections import artifact, axis, camera, laser_plane, parts, results, run, session
+from rotaline.io.report.warnings import collect_warnings, stage_title
+
+
+def write_report(contents: ReportContents, path: Path) -> None:
+    """Write the report as one self-contained HTML file, whole or not at all.
+
+    Parameters
+    ----------
+    contents : ReportContents   what the run found
+    path : Path   the file, usually ``report.html`` in the folder of results; an older one is replaced
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written: no space, no permission; an older report is then left as it was.
+    """
+    page = render_report(contents)
+    with whole_file(path) as part:
+        part.write_text(page, encoding="utf-8")
+
+
+def render_report(contents: ReportContents) -> str:
+    """The report as HTML text."""
+    warnings = collect_warnings(contents)
+    environment = Environment(
+        loader=PackageLoader("rotaline.io.report", "templates"),
+        autoescape=select_autoescape(default=True, default_for_string=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["stage_title"] = stage_title
+    loader = environment.loader
+    assert loader is not None
+    style = Markup(loader.get_source(environment, "report.css")[0])
+    return environment.get_template("report.html.jinja").render(
+        run=contents.run,
+        style=style,
+        serious=[w for w in warnings if w.serious],
+        ordinary=[w for w in warnings if not w.serious],
+        key_figures=results.key_figures(contents),
+        sections=numbered(_sections(contents, warnings)),
+    )
+
+
+def _sections(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> list[Section]:
+    return [
+        results.section(contents),
+        session.section(contents, warnings),
+        camera.section(contents.camera, warnings),
+        laser_plane.plane_section(contents, warnings),
+        laser_plane.cross_ratio_section(contents, warnings),
+        axis.section(contents, warnings),
+        artifact.section(contents, warnings),
+        parts.scan_section(contents, warnings),
+        parts.surface_section(contents, warnings),
+        parts.feature_section(contents, warnings),
+        run.section(contents.run),
+    ]

@@ -1,0 +1,440 @@
+"""Plausible contents of a report, made without any estimator: a rig, its stages and three parts."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rotaline.calibration.model import (
+    ArtifactCalibration,
+    ArtifactMount,
+    AxisCalibration,
+    AxisFrame,
+    CameraCalibration,
+    CameraView,
+    CrossRatioResult,
+    LaserPlaneCalibration,
+    StripeOnBoard,
+    SystemCalibration,
+)
+from rotaline.geometry.primitives import Line, Plane, SteppedCylinder, unit
+from rotaline.geometry.transforms import base_from_axis, rotate_about_line
+from rotaline.io.report.contents import (
+    CaptureSummary,
+    CloudSummary,
+    FittedPoints,
+    FrameOverlay,
+    ReportContents,
+    RunInfo,
+    StageWarning,
+    SurfaceSummary,
+)
+from rotaline.io.results import MeasurementEntry
+from rotaline.metrology.model import FeatureMeasurement
+from rotaline.scanning.cloud import PointCloud
+from rotaline.vision.camera import CameraModel
+
+CAMERA = CameraModel((1280, 960), 2450.0, 2451.5, 642.3, 478.1, -0.11, 0.19, 2e-4, -3e-4)
+AXIS = Line(np.array([3.0, 20.0, 300.0]), unit(np.array([0.01, -0.82, -0.57])))
+PLANE = Plane(unit(np.array([0.85, 0.03, -0.5])), float(-unit(np.array([0.85, 0.03, -0.5])) @ [3.0, 20.0, 300.0]))
+ARTIFACT = SteppedCylinder(23.051, 36.006, 22.003, 25.005)
+
+
+def _board(columns: int, rows: int, pitch: float) -> np.ndarray:
+    r, c = np.mgrid[0:rows, 0:columns]
+    return np.stack([c.ravel() * pitch, r.ravel() * pitch, 0.0 * r.ravel()], axis=1)
+
+
+def _pose(rng: np.random.Generator, size: tuple[float, float], tilt: float = 0.45) -> RigidTransform:
+    rotation = Rotation.from_rotvec(rng.uniform(-tilt, tilt, 3))
+    middle = rotation.apply(np.array([size[0] / 2, size[1] / 2, 0.0]))
+    at = np.array([rng.uniform(-35, 35), rng.uniform(-25, 25), rng.uniform(260, 340)])
+    return RigidTransform.from_components(at - middle, rotation)
+
+
+def make_camera(rng: np.random.Generator) -> CameraCalibration:
+    points = _board(18, 16, 4.0)
+    views = []
+    for i in range(14):
+        pose = _pose(rng, (68.0, 60.0))
+        uv = CAMERA.project(pose.apply(points))
+        residuals = rng.normal(0, 0.05, uv.shape) + 2e-5 * (uv - 500)
+        used = i not in (4, 9)
+        residuals = residuals if used else residuals * 8
+        views.append(
+            CameraView(
+                f"camera/{i:04d}.png",
+                used,
+                "" if used else "RMS 0.42 px is more than three times the median of the other views",
+                pose,
+                float(np.sqrt((residuals**2).sum(axis=1).mean())),
+                uv + residuals,
+                residuals,
+            )
+        )
+    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+    u = np.array([0.61, 0.60, 0.9, 0.8, 7e-4, 1.1e-2, 3e-5, 4e-5])
+    warning = ("The corners of the image were hardly seen: put the board there in two or three more views.",)
+    return CameraCalibration(CAMERA, names, u, tuple(views), 0.0712, 0.0631, warning)
+
+
+def make_laser_plane(rng: np.random.Generator) -> LaserPlaneCalibration:
+    views = []
+    for i in range(10):
+        pose = _pose(rng, (48.0, 48.0))
+        x = np.linspace(-5, 53, 220)
+        board = pose.apply(np.stack([x, x * 0, x * 0], axis=1))
+        normal = pose.rotation.apply([0.0, 0.0, 1.0])
+        along = unit(np.cross(normal, PLANE.normal))
+        start = board[110] - PLANE.signed_distance_to(board[110:111])[0] * PLANE.normal
+        points = start + np.linspace(-26, 26, 220)[:, None] * along
+        residuals = rng.normal(0, 0.012, len(points)) + rng.normal(0, 0.004)
+        uv = CAMERA.project(points)
+        used = i != 7
+        views.append(
+            StripeOnBoard(
+                f"laser/{2 * i + 1:04d}.png",
+                used,
+                "" if used else "the stripe misses the dots",
+                pose,
+                uv,
+                points + residuals[:, None] * PLANE.normal,
+                residuals,
+            )
+        )
+    return LaserPlaneCalibration(PLANE, tuple(views), 0.0126, (2.1e-5, 1.3e-5), 0.0011, ())
+
+
+def make_cross_ratio(rng: np.random.Generator) -> CrossRatioResult:
+    view = np.repeat(np.arange(10), 8)
+    row = np.tile(np.arange(8), 10)
+    reference = 6.0 + rng.uniform(0, 0.6, 80)
+    before = reference + rng.normal(0.008, 0.018, 80)
+    after = reference + rng.normal(0, 0.0028, 80)
+    return CrossRatioResult(
+        Plane(unit(PLANE.normal + [1e-4, 0, 2e-4]), PLANE.offset + 0.02),
+        PLANE,
+        True,
+        "",
+        tuple(f"laser/{2 * i + 1:04d}.png" for i in range(10)),
+        view,
+        row,
+        reference,
+        before,
+        after,
+        0.0206,
+        0.0028,
+        14,
+        True,
+        np.geomspace(0.0206, 0.0028, 15),
+        (),
+    )
+
+
+def make_axis(rng: np.random.Generator) -> AxisCalibration:
+    points = _board(18, 16, 4.0)
+    stand = RigidTransform.from_components(
+        AXIS.point + np.array([-34.0, -62.0, -8.0]), Rotation.from_rotvec([0.55, 0.05, 0.02])
+    )
+    first = stand.apply(points)
+    angles = np.deg2rad(np.arange(-20.0, 21.0, 2.0))
+    corners, frames = [], []
+    for i, angle in enumerate(angles):
+        turn = Rotation.from_rotvec(angle * AXIS.direction)
+        pose = RigidTransform.from_components(AXIS.point - turn.apply(AXIS.point), turn) * stand
+        noise = Rotation.from_rotvec(rng.normal(0, 1e-4, 3))
+        pose = RigidTransform.from_components(pose.translation, noise * pose.rotation)
+        used = i != 3
+        frames.append(
+            AxisFrame(f"axis/{i:04d}.png", used, "" if used else "board half out of view", float(angle), pose, 0.05)
+        )
+        corners.append(rotate_about_line(first, AXIS, float(angle)) + rng.normal(0, 0.01, first.shape))
+    track = np.array(corners)
+    track[3] = np.nan
+    centres = AXIS.closest_to(first) + rng.normal(0, 0.006, first.shape)
+    return AxisCalibration(
+        AXIS,
+        1,
+        tuple(frames),
+        np.arange(len(points)),
+        track,
+        centres,
+        AXIS.distance_to(first),
+        np.abs(rng.normal(0.011, 0.002, len(points))),
+        0.0112,
+        0.0061,
+        2.4e-5,
+        0.0031,
+        (),
+    )
+
+
+def make_mount(rng: np.random.Generator, name: str, eccentricity: float) -> ArtifactMount:
+    angles = np.deg2rad(np.arange(0.0, 360.0, 4.0))
+    n = len(angles)
+    circles = ARTIFACT.edge_circles_part()
+    part = np.array([[c.centre + c.radius * np.array([np.cos(-a), np.sin(-a), 0]) for c in circles] for a in angles])
+    pose = RigidTransform.from_components([eccentricity, 0.3, 0.0], Rotation.from_rotvec([0.002, 0.001, 0.0]))
+    features = pose.apply(part.reshape(-1, 3)).reshape(n, 4, 3) + rng.normal(0, 0.005, (n, 4, 3))
+    wave = 0.25 * np.stack([np.cos(2 * angles), np.sin(angles), 0 * angles], axis=1)[:, None]
+    before = features + wave
+    features[5, 2] = np.nan
+    before[5] = np.nan
+    axis = base_from_axis(AXIS)
+
+    def distances(points: np.ndarray) -> np.ndarray:
+        local = pose.inv().apply(np.nan_to_num(points).reshape(-1, 3)).reshape(n, 4, 3)
+        d = [
+            np.hypot(np.hypot(local[:, h, 0], local[:, h, 1]) - c.radius, local[:, h, 2] - c.centre[2])
+            for h, c in enumerate(circles)
+        ]
+        return np.where(np.isfinite(points).all(axis=2), np.stack(d, axis=1), np.nan)
+
+    used = tuple(i != 5 for i in range(n))
+    return ArtifactMount(
+        name,
+        tuple(f"{name}/{i:04d}.png" for i in range(n)),
+        angles,
+        used,
+        tuple("" if u else "only three segments were found" for u in used),
+        axis.inv().apply(np.nan_to_num(features).reshape(-1, 3)).reshape(n, 4, 3),
+        before,
+        features,
+        distances(before),
+        distances(features),
+        pose,
+        pose,
+        float(np.nanmean(distances(before))),
+        float(np.nanmean(distances(features))),
+        eccentricity,
+    )
+
+
+def make_artifact(rng: np.random.Generator) -> ArtifactCalibration:
+    mounts = (make_mount(rng, "stepped-1", 0.4), make_mount(rng, "stepped-2", 5.1))
+    before = float(np.mean([m.mean_distance_before_mm for m in mounts]))
+    after = float(np.mean([m.mean_distance_mm for m in mounts]))
+    moved = Line(AXIS.point + [0.21, 0.0, -0.13], unit(AXIS.direction + [4e-4, 0.0, 6e-4]))
+    return ArtifactCalibration(
+        "sqp", AXIS, moved, mounts, before, after, 22, True, np.geomspace(before, after, 23), 3.1e-5, 0.0013, ()
+    )
+
+
+def make_cloud(points: np.ndarray, rng: np.random.Generator) -> PointCloud:
+    angle = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
+    frame = (np.rad2deg(angle) / 2).astype(int)
+    n = len(points)
+    return PointCloud(
+        points, np.tile([250.0, 0.0, 120.0], (n, 1)), rng.uniform(60, 230, n), -angle, frame, rng.uniform(0.003, 0.02, n)
+    )
+
+
+def _sphere(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
+    d = rng.normal(size=(n, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    d[:, 2] = np.abs(d[:, 2]) * 1.4 - 0.4
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    r = rng.normal(0, 0.005, n) + 0.004 * np.sin(3 * np.arctan2(d[:, 1], d[:, 0]))
+    return np.array([4.0, -2.0, 24.0]) + (14.2375 + r)[:, None] * d, r
+
+
+def _cylinder(rng: np.random.Generator, n: int, radius: float, height: float) -> tuple[np.ndarray, np.ndarray]:
+    phi, z = rng.uniform(0, 2 * np.pi, n), rng.uniform(0, height, n)
+    r = rng.normal(0, 0.006, n) + 0.003 * np.cos(2 * phi)
+    return np.stack([(radius + r) * np.cos(phi), (radius + r) * np.sin(phi), z], axis=1), r
+
+
+def _groove(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
+    x, y = rng.uniform(-20, 20, n), rng.uniform(-12, 12, n)
+    depth = np.clip((np.abs(x) - 6.0) * 4.0, 0, 12.0)
+    r = rng.normal(0, 0.007, n)
+    return np.stack([x, y, 30.0 - 12.0 + depth + r], axis=1), r
+
+
+def _measurement(feature: str, value: dict, r: np.ndarray, geometry: dict, warnings: tuple = ()) -> FeatureMeasurement:
+    return FeatureMeasurement(
+        feature,
+        value,
+        dict.fromkeys(value, 0.0004),
+        len(r) * 12,
+        float(np.sqrt(np.mean(r**2))),
+        float(np.ptp(r)),
+        np.arange(len(r)),
+        r,
+        geometry,
+        0.83,
+        warnings,
+    )
+
+
+def tube_mesh(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+    phi, z = np.meshgrid(np.linspace(0, 2 * np.pi, n, endpoint=False), np.linspace(0, 50, m), indexing="ij")
+    r = 18 + 5 * np.sin(z / 8) + 1.2 * np.cos(7 * phi)
+    vertices = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1).reshape(-1, 3)
+    i, j = (g.ravel() for g in np.meshgrid(np.arange(n), np.arange(m - 1), indexing="ij"))
+    a, b, c, d = i * m + j, (i + 1) % n * m + j, (i + 1) % n * m + j + 1, i * m + j + 1
+    return vertices, np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+
+
+def make_contents(scale: int = 1) -> ReportContents:
+    """Contents with every field filled; ``scale`` multiplies the points of the scans."""
+    rng = np.random.default_rng(11)
+    n = 1500 * scale
+    ball, r_ball = _sphere(rng, n)
+    rod, r_rod = _cylinder(rng, n, 19.002, 40.0)
+    groove, r_groove = _groove(rng, n)
+    stepped, r_stepped = _cylinder(rng, n, 18.003, 25.0)
+    sphere_geometry = {"centre": [4.0, -2.0, 24.0], "radius": 14.2375}
+    axis_geometry = {"axis_point": [0.0, 0.0, 0.0], "axis_direction": [0.0, 0.0, 1.0], "radius": 19.002}
+    groove_geometry = {"normal": [0.0, 0.0, 1.0], "direction": [0.0, 1.0, 0.0], "tilt_deg": 0.031}
+    sizes = {"diameter_small": 23.051, "diameter_large": 36.006, "height_small": 22.003, "height_large": 25.005}
+
+    def entries(offset: float) -> tuple[MeasurementEntry, ...]:
+        def stepped_values(shift: float) -> dict[str, float]:
+            return {k: v + shift * (1 + 0.3 * i) for i, (k, v) in enumerate(sizes.items())}
+
+        return (
+            *(
+                MeasurementEntry(
+                    f"stepped-{i}",
+                    "stepped-cylinder",
+                    "stepped-cylinder",
+                    _measurement("stepped-cylinder", stepped_values(offset + 0.001 * i), r_stepped, axis_geometry),
+                    sizes,
+                )
+                for i in (1, 2)
+            ),
+            MeasurementEntry(
+                "ball",
+                "sphere",
+                "ceramic ball",
+                _measurement("sphere", {"diameter": 28.475 - 0.0033 + offset}, r_ball, sphere_geometry),
+                {"diameter": 28.475},
+            ),
+            MeasurementEntry(
+                "rod",
+                "cylinder",
+                "rod",
+                _measurement(
+                    "cylinder",
+                    {"diameter": 38.004 - 0.0007 + offset},
+                    r_rod,
+                    axis_geometry,
+                    ("Only 83 % of the turn was seen: turn the table through 360 deg.",),
+                ),
+                {"diameter": 38.004},
+            ),
+            MeasurementEntry(
+                "groove",
+                "groove",
+                "groove",
+                _measurement(
+                    "groove",
+                    {"depth": 12.0023 + offset / 5, "width_top": 18.01, "width_bottom": 11.98},
+                    r_groove,
+                    groove_geometry,
+                ),
+                {"depth": 12.003},
+            ),
+            MeasurementEntry("ball", "plane", "table", None, {}, "no plane with more than 50 points; name a region."),
+        )
+
+    image = np.zeros((240, 320, 3), np.uint8)
+    image[:] = (rng.uniform(20, 60, (240, 320, 1))).astype(np.uint8)
+    image[60:180, 80:240] = 150
+    corners = np.stack([g.ravel() for g in np.meshgrid(np.linspace(340, 940, 9), np.linspace(260, 700, 7))], axis=1)
+    line = np.stack([np.linspace(300, 960, 900), 400 + 80 * np.sin(np.linspace(0, 3, 900))], axis=1)
+    vertices, triangles = tube_mesh(120 * scale, 60)
+    axis, artifact = make_axis(rng), make_artifact(rng)
+    clouds = {"ball": ball, "rod": rod, "groove": groove}
+    return ReportContents(
+        run=RunInfo(
+            "rig-demo",
+            "2026-03-14 15:09:26 +0100",
+            {"rotaline": "0.1.0", "python": "3.11.9", "numpy": "2.4.6", "opencv": "4.13.0", "scipy": "1.17.1"},
+            "Linux x86_64, 2 cores",
+            {"camera.max_rms_px": "1.0", "stripe.method": "improved-gray-gravity", "artifact.method": "sqp"},
+            {"camera": 2.31, "laser-plane": 5.62, "cross-ratio": 0.41, "axis": 3.3, "artifact": 14.1, "scan": 9.9, "surface": 75.0},
+        ),
+        captures=(
+            CaptureSummary("camera", "camera", "checkerboard", 14, 0, (1280, 960)),
+            CaptureSummary("laser", "laser-plane", "dots", 20, 10, (1280, 960)),
+            CaptureSummary("axis", "axis", "checkerboard", 21, 0, (1280, 960)),
+            CaptureSummary("stepped-1", "artifact", "stepped-cylinder", 90, 90, (1280, 960)),
+            CaptureSummary("stepped-2", "artifact", "stepped-cylinder", 90, 90, (1280, 960)),
+            CaptureSummary("ball", "scan", "", 180, 180, (1280, 960)),
+        ),
+        targets={
+            "checkerboard": "checkerboard, 18 x 16 inner corners, pitch 4 mm",
+            "dots": "dot plate, 9 x 9 dots, pitch 6 mm, diameter 3 mm",
+            "stepped-cylinder": "stepped cylinder, diameters 23.051 / 36.006 mm, heights 22.003 / 25.005 mm",
+        },
+        warnings=(
+            StageWarning("camera", "no target in 1 of 15 frames of camera: camera/0014.png: 17 x 16 corners were nearly found."),
+            StageWarning(
+                "axis optimisation",
+                "stepped-1 is only 0.4 mm off centre and says little about the axis. Mount it 5 to 8 mm off centre.",
+            ),
+            StageWarning("scan", "groove: the stripe is missing in 41 of 180 frames. Raise the exposure.", serious=True),
+        ),
+        camera=make_camera(rng),
+        laser_plane=make_laser_plane(rng),
+        cross_ratio=make_cross_ratio(rng),
+        axis=axis,
+        artifact=artifact,
+        calibration=SystemCalibration(CAMERA, PLANE, AXIS, 1, True),
+        clouds=tuple(CloudSummary(name, make_cloud(p, rng), len(p) * 12, 180, 3) for name, p in clouds.items()),
+        surfaces=(
+            SurfaceSummary("ball", vertices, triangles),
+            SurfaceSummary("rod", np.zeros((0, 3)), np.zeros((0, 3), int), "too few points (12) for a surface."),
+        ),
+        measurements=entries(0.001),
+        measurements_initial_axis=entries(0.31),
+        overlays=(
+            *(
+                FrameOverlay("axis", f"axis/{i:04d}.png", f"{i * 8 - 16} deg, 63 corners", image, 0.25, corners + 12.0 * i)
+                for i in range(5)
+            ),
+            FrameOverlay("laser-plane", "laser/0001.png", "stripe, 900 points", image, 0.25, line),
+            FrameOverlay("scan", "ball/0007.png", "stripe, 900 points", image, 0.25, line),
+        ),
+        fitted_points=(
+            FittedPoints("stepped-1", "stepped-cylinder", "stepped-cylinder", stepped, r_stepped),
+            FittedPoints("ball", "sphere", "ceramic ball", ball, r_ball),
+            FittedPoints("rod", "cylinder", "rod", rod, r_rod),
+            FittedPoints("groove", "groove", "groove", groove, r_groove),
+        ),
+        artifacts={"stepped-1": ARTIFACT, "stepped-2": ARTIFACT},
+    )
+
+
+@pytest.fixture(scope="session")
+def full_contents() -> ReportContents:
+    """Every field filled."""
+    return make_contents()
+
+
+@pytest.fixture(scope="session")
+def bare_contents(full_contents: ReportContents) -> ReportContents:
+    """A run in which no stage got anywhere."""
+    return dataclasses.replace(
+        full_contents,
+        run=RunInfo("empty", "", {}, "", {}, {}),
+        captures=(),
+        targets={},
+        warnings=(),
+        camera=None,
+        laser_plane=None,
+        cross_ratio=None,
+        axis=None,
+        artifact=None,
+        calibration=None,
+        clouds=(),
+        surfaces=(),
+        measurements=(),
+        measurements_initial_axis=(),
+        overlays=(),
+        fitted_points=(),
+        artifacts={},
+    )
