@@ -226,7 +226,12 @@ def make_cloud(points: np.ndarray, rng: np.random.Generator) -> PointCloud:
     frame = (np.rad2deg(angle) / 2).astype(int)
     n = len(points)
     return PointCloud(
-        points, np.tile([250.0, 0.0, 120.0], (n, 1)), rng.uniform(60, 230, n), -angle, frame, rng.uniform(0.003, 0.02, n)
+        points,
+        np.tile([250.0, 0.0, 120.0], (n, 1)),
+        rng.uniform(60, 230, n),
+        -angle,
+        frame,
+        rng.uniform(0.003, 0.02, n),
     )
 
 
@@ -355,7 +360,15 @@ def make_contents(scale: int = 1) -> ReportContents:
             {"rotaline": "0.1.0", "python": "3.11.9", "numpy": "2.4.6", "opencv": "4.13.0", "scipy": "1.17.1"},
             "Linux x86_64, 2 cores",
             {"camera.max_rms_px": "1.0", "stripe.method": "improved-gray-gravity", "artifact.method": "sqp"},
-            {"camera": 2.31, "laser-plane": 5.62, "cross-ratio": 0.41, "axis": 3.3, "artifact": 14.1, "scan": 9.9, "surface": 75.0},
+            {
+                "camera": 2.31,
+                "laser-plane": 5.62,
+                "cross-ratio": 0.41,
+                "axis": 3.3,
+                "artifact": 14.1,
+                "scan": 9.9,
+                "surface": 75.0,
+            },
         ),
         captures=(
             CaptureSummary("camera", "camera", "checkerboard", 14, 0, (1280, 960)),
@@ -371,12 +384,16 @@ def make_contents(scale: int = 1) -> ReportContents:
             "stepped-cylinder": "stepped cylinder, diameters 23.051 / 36.006 mm, heights 22.003 / 25.005 mm",
         },
         warnings=(
-            StageWarning("camera", "no target in 1 of 15 frames of camera: camera/0014.png: 17 x 16 corners were nearly found."),
+            StageWarning(
+                "camera", "no target in 1 of 15 frames of camera: camera/0014.png: 17 x 16 corners were nearly found."
+            ),
             StageWarning(
                 "axis optimisation",
                 "stepped-1 is only 0.4 mm off centre and says little about the axis. Mount it 5 to 8 mm off centre.",
             ),
-            StageWarning("scan", "groove: the stripe is missing in 41 of 180 frames. Raise the exposure.", serious=True),
+            StageWarning(
+                "scan", "groove: the stripe is missing in 41 of 180 frames. Raise the exposure.", serious=True
+            ),
         ),
         camera=make_camera(rng),
         laser_plane=make_laser_plane(rng),
@@ -393,7 +410,9 @@ def make_contents(scale: int = 1) -> ReportContents:
         measurements_initial_axis=entries(0.31),
         overlays=(
             *(
-                FrameOverlay("axis", f"axis/{i:04d}.png", f"{i * 8 - 16} deg, 63 corners", image, 0.25, corners + 12.0 * i)
+                FrameOverlay(
+                    "axis", f"axis/{i:04d}.png", f"{i * 8 - 16} deg, 63 corners", image, 0.25, corners + 12.0 * i
+                )
                 for i in range(5)
             ),
             FrameOverlay("laser-plane", "laser/0001.png", "stripe, 900 points", image, 0.25, line),

@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rotaline.calibration.model import SystemCalibration
+from rotaline.geometry.primitives import Line, Plane, unit
+from rotaline.geometry.transforms import rotate_about_line
+from rotaline.scanning.triangulation import move_to_axis, scan_cloud, triangulate
+from rotaline.vision.camera import CameraModel
+from rotaline.vision.stripe.model import StripePoints
+
+CAMERA = CameraModel((1280, 960), 2400.0, 2400.0, 640.0, 480.0, -0.11, 0.09, 6e-4, -4e-4)
+AXIS = Line(np.array([2.0, 20.0, 290.0]), unit(np.array([0.02, -0.8, -0.6])))
+NORMAL = unit(np.array([0.8, -0.3, 0.5]))
+PLANE = Plane(NORMAL, float(-NORMAL @ (AXIS.point + 10 * AXIS.direction)))
+
+
+def _system(sense):
+    return SystemCalibration(CAMERA, PLANE, AXIS, sense, table_seen=False)
+
+
+def _stripe(uv, u=0.05):
+    n = len(uv)
+    normal = np.tile([1.0, 0.0], (n, 1))
+    full = np.ones(n)
+    return StripePoints(uv, normal, 2 * full, 100 * full, u * full, np.zeros(n, bool), np.zeros(n, int))
+
+
+def _seen(points_camera):
+    """Points of the laser plane, and their images."""
+    on_plane = points_camera - PLANE.signed_distance_to(points_camera)[:, None] * PLANE.normal
+    return on_plane, CAMERA.project(on_plane)
+
+
+@settings(deadline=None, max_examples=30)
+@given(u=st.floats(100, 1180), v=st.floats(100, 860))
+def test_a_triangulated_point_lies_on_the_plane_and_on_its_ray(u, v):
+    uv = np.array([[u, v]])
+    point = triangulate(uv, CAMERA, PLANE)
+    assert abs(PLANE.signed_distance_to(point)[0]) < 1e-9
+    assert CAMERA.project(point) == pytest.approx(uv, abs=1e-7)
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_point_fixed_to_the_table_comes_back_to_one_place(sense):
+    """A ring about the axis crosses the laser plane at different table angles; turned back, each is where it started."""
+    start, _ = _seen(AXIS.point + np.array([[12.0, 3.0, -8.0]]))
+    angles = np.radians([0.0, 30.0, 250.0])
+    # the point of the table that the laser meets at each angle is another one: put it there by turning it the other way
+    fixed = [rotate_about_line(start, AXIS, -sense * a) for a in angles]
+    _, uv = _seen(start)
+    cloud = scan_cloud([_stripe(uv)] * 3, angles, _system(sense))
+    base_from_camera = _system(sense).base_from_camera
+    for k in range(3):
+        assert cloud.points_table[k] == pytest.approx(base_from_camera.apply(fixed[k])[0], abs=1e-8)
+    assert cloud.angle_rad == pytest.approx(sense * angles)
+    assert list(cloud.frame) == [0, 1, 2]
+
+
+def test_the_stated_uncertainty_is_the_scatter_of_repeats():
+    rng = np.random.default_rng(1)
+    _, uv = _seen(AXIS.point + np.array([[5.0, 5.0, -5.0]]))
+    sigma = 0.05
+    noisy = uv + np.outer(rng.normal(0, sigma, 2000), [1.0, 0.0])
+    points = triangulate(noisy, CAMERA, PLANE)
+    scatter = np.sqrt(np.sum(np.var(points, axis=0)))
+    cloud = scan_cloud([_stripe(uv, sigma)], np.zeros(1), _system(1))
+    assert cloud.u_mm[0] == pytest.approx(scatter, rel=4 / np.sqrt(2 * 2000))
+
+
+def test_empty_frames_keep_their_number():
+    _, uv = _seen(AXIS.point + np.array([[5.0, 5.0, -5.0]]))
+    nothing = _stripe(np.empty((0, 2)))
+    cloud = scan_cloud([nothing, _stripe(uv), nothing], np.zeros(3), _system(1))
+    assert list(cloud.frame) == [1]
+    assert len(scan_cloud([nothing], np.zeros(1), _system(1))) == 0
+
+
+def test_moving_a_cloud_to_another_axis_is_scanning_with_that_axis():
+    rng = np.random.default_rng(2)
+    _, uv = _seen(AXIS.point + rng.normal(0, 8, (20, 3)))
+    stripes, angles = [_stripe(uv), _stripe(uv)], np.array([0.3, 4.0])
+    other = SystemCalibration(
+        CAMERA,
+        PLANE,
+        Line(AXIS.point + np.array([0.3, 0.1, -0.2]), unit(AXIS.direction + np.array([0.01, 0.0, 0.0]))),
+        -1,
+        table_seen=False,
+    )
+    direct = scan_cloud(stripes, angles, other)
+    moved = move_to_axis(scan_cloud(stripes, angles, _system(1)), _system(1), other)
+    assert moved.points_table == pytest.approx(direct.points_table, abs=1e-9)
+    assert moved.viewpoints_table == pytest.approx(direct.viewpoints_table, abs=1e-9)
+    assert moved.angle_rad == pytest.approx(direct.angle_rad)
