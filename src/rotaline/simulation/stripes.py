@@ -78,6 +78,18 @@ class StripeScene:
             return across - np.where(along < 0, 0.0, self.step_px)
         return across
 
+    def error(self, uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+        """Signed distance of found centres from the true one along its true normal, px.
+
+        Within 1 px of a step the pixels see both of its sides; there the nearer side counts.
+        """
+        distance = self.distance(uv)
+        if self.curve != "step":
+            return distance
+        other = distance + np.where(self.along(uv) < 0, -self.step_px, self.step_px)
+        near = (np.abs(self.along(uv)) < 1.0) & (np.abs(other) < np.abs(distance))
+        return np.where(near, other, distance)
+
     def along(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
         """Position of points along the line (the tangent of an arc) from the image's centre, px."""
         return (uv - self.middle) @ self.direction

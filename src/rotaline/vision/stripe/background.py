@@ -12,7 +12,7 @@ from rotaline.vision.stripe.profiles import Profiles
 SIDE = 3.0  # the sides begin this many widths from the centre
 _BLURS_PX = (0.5, 1.0, 2.0)
 _EDGES = np.linspace(-3.6, 3.6, 19)  # widths
-_POOL, _EVERY = 12, 4  # points
+_POOL, _EVERY = 36, 3  # points
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def step_background(
     sides = profiles.valid & (np.abs(x) > SIDE * width_px[:, None])
     left, right = (_mean(profiles.value, sides & (x < 0)), _mean(profiles.value, sides & (x > 0)))
     differ = np.abs(left - right) > 4.0 * np.maximum(noise, 0.3)
-    index = np.flatnonzero(chains.window_mean(differ.astype(float), _POOL) > 0.5)
+    index = np.flatnonzero(chains.window_mean(differ.astype(float), 8) > 0.5)
     if len(index) == 0:
         return line, shift_px
     x, w, p = x[index], width_px[index, None], profiles.value[index]

@@ -1,9 +1,11 @@
 """The stripe as ordered chains of points: windows along a chain, directions, equal spacing, breaks."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import median_filter
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +34,7 @@ class Chains:
     def spans(self) -> list[tuple[int, int]]:
         """Start and stop of each chain."""
         edges = np.concatenate([[0], np.flatnonzero(np.diff(self.chain)) + 1, [len(self.chain)]])
-        return [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
+        return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]
 
     def window_mean(self, values: Float[np.ndarray, " n"], half_window: int) -> Float[np.ndarray, " n"]:
         """Mean of a value over the neighbours of each point in its chain."""
@@ -41,6 +43,13 @@ class Chains:
         low, high = np.maximum(i - half_window, start), np.minimum(i + half_window, stop)
         total = np.concatenate([[0.0], np.cumsum(values)])
         return (total[high + 1] - total[low]) / (high + 1 - low)
+
+    def window_median(self, values: Float[np.ndarray, " n"], half_window: int) -> Float[np.ndarray, " n"]:
+        """Median of a value over the neighbours of each point in its chain; the ends are repeated."""
+        out = np.empty(len(self))
+        for a, b in self.spans():
+            out[a:b] = median_filter(values[a:b], size=2 * half_window + 1, mode="nearest")
+        return out
 
 
 def local_lines(
@@ -144,3 +153,49 @@ def break_chains(
     kept[index] = True
     _, number = np.unique(label, return_inverse=True)
     return Chains(chains.uv[index], number.astype(np.int64)), kept
+
+
+def join_chains(
+    chains: Chains, tangent: Float[np.ndarray, "n 2"], reach_px: float
+) -> tuple[Chains, Int[np.ndarray, " n"]]:
+    """Join chains end to end where one goes on in the direction of the other, at most ``reach_px`` away.
+
+    Returns
+    -------
+    chains : Chains   renumbered; some may run the other way now
+    order : (n,)   old index of each point
+    """
+    spans = chains.spans()
+    if len(spans) < 2:
+        return chains, np.arange(len(chains))
+    # two ends a chain: 2k its start, 2k + 1 its stop; outward directions
+    ends = np.array([i for a, b in spans for i in (a, b - 1)])
+    out = tangent[ends] * np.tile([-1.0, 1.0], len(spans))[:, None]
+    at = chains.uv[ends]
+    move = at[None, :] - at[:, None]
+    gap = np.hypot(move[..., 0], move[..., 1])
+    ahead = np.einsum("ijk,ik->ij", move, out)
+    facing = np.einsum("ik,jk->ij", out, out)
+    fits = (gap <= reach_px) & (facing < -0.85) & (ahead >= -1.0) & (gap**2 - ahead**2 <= 1.5**2)
+    chain = np.arange(len(ends)) // 2
+    fits &= fits.T & (chain[:, None] != chain[None, :])
+    partner = np.full(len(ends), -1)
+    i, j = np.nonzero(np.triu(fits))
+    for k in np.argsort(gap[i, j]):
+        if partner[i[k]] < 0 and partner[j[k]] < 0:
+            partner[i[k]], partner[j[k]] = j[k], i[k]
+    order, label, done = [], [], np.zeros(len(spans), dtype=bool)
+    starts = [e for e in range(len(ends)) if partner[e] < 0] + list(range(len(ends)))  # open ends first, then rings
+    for entry in starts:
+        if done[entry // 2]:
+            continue
+        number = int(label[-1][0]) + 1 if label else 0
+        while entry >= 0 and not done[entry // 2]:
+            a, b = spans[entry // 2]
+            done[entry // 2] = True
+            piece = np.arange(a, b)
+            order.append(piece if entry % 2 == 0 else piece[::-1])
+            label.append(np.full(b - a, number, dtype=np.int64))
+            entry = int(partner[entry ^ 1])
+    index = np.concatenate(order)
+    return Chains(chains.uv[index], np.concatenate(label)), index

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from rotaline.vision.images import Image
 from rotaline.vision.stripe.background import Background, side_background, step_background
@@ -14,7 +14,7 @@ from rotaline.vision.stripe.model import StripePoints
 from rotaline.vision.stripe.profiles import Profiles
 from rotaline.vision.stripe.ridges import find_ridges
 from rotaline.vision.stripe.signal import StripeSignal, stripe_signal
-from rotaline.vision.stripe.trace import Trace, trace_ridges
+from rotaline.vision.stripe.trace import Trace, alike, trace_ridges
 from rotaline.vision.stripe.uncertainty import pixel_noise, scatter_and_floor
 
 Method = Literal["gray-gravity", "improved-gray-gravity", "steger", "profile-fit"]
@@ -85,6 +85,7 @@ def _measure(trace: Trace, signal: StripeSignal, options: StripeOptions) -> Stri
     u = np.hypot(centres.u_px * noise, floor)
     with np.errstate(invalid="ignore"):
         good = found & (np.abs(centres.shift_px) <= width + 1.0) & (u < 1.0) & (centres.height > 2.5 * noise)
+        good &= alike(trace.chains, centres.width_px, 0.2) & _inside(trace, signal)
         good &= centres.height > 0.5 * options.min_contrast * signal.unit
     shift = np.where(good, centres.shift_px, 0.0)
     moved = Chains(trace.chains.uv + trace.normal * shift[:, None], trace.chains.chain)
@@ -135,7 +136,7 @@ def _replace_clipped(
     rough: Centres,
 ) -> Centres:
     """Where samples are clipped, a Gaussian through the others takes the centroid's place, if there are enough."""
-    clipped = profiles.clipped.any(axis=1)
+    clipped = np.asarray(profiles.clipped.any(axis=1))
     if not clipped.any():
         return centres
     part = profiles.select(clipped)
@@ -152,6 +153,14 @@ def _scatter(trace: Trace, centres: Centres, noise: Float[np.ndarray, " n"]) -> 
     good = np.isfinite(centres.shift_px)
     uv = trace.chains.uv + trace.normal * np.where(good, centres.shift_px, 0.0)[:, None]
     return scatter_and_floor(Chains(uv, trace.chains.chain), trace.normal, np.where(good, centres.u_px * noise, 9.0))
+
+
+def _inside(trace: Trace, signal: StripeSignal) -> Bool[np.ndarray, " n"]:
+    """True where the image holds the profile to two widths on both sides."""
+    top = np.array(signal.value.shape[::-1]) - 1.0
+    reach = trace.normal * 2.0 * trace.width_px[:, None]
+    ends = np.stack([trace.chains.uv - reach, trace.chains.uv + reach])
+    return np.asarray(((ends >= 0.0) & (ends <= top)).all(axis=(0, 2)))
 
 
 def _empty() -> StripePoints:

@@ -55,7 +55,7 @@ def stripe_signal(image: Image, background: Image | None, channel: str) -> Strip
         clipped = image[:, :, k] >= limit
     elif channel == "grey":
         value = planes.mean(axis=2)
-        clipped = (image >= limit).any(axis=2)
+        clipped = np.asarray((image >= limit).any(axis=2))
     else:
         value = np.ascontiguousarray(planes[:, :, 0])
         clipped = image[:, :, 0] >= limit

@@ -7,11 +7,12 @@ from jaxtyping import Bool, Float, Float32
 
 from rotaline.vision.stripe.background import side_background
 from rotaline.vision.stripe.centres import weighted_centroid
-from rotaline.vision.stripe.curve import Chains, break_chains, local_lines, resample
+from rotaline.vision.stripe.curve import Chains, break_chains, join_chains, local_lines, resample
 from rotaline.vision.stripe.profiles import Profiles, sample_profiles
 from rotaline.vision.stripe.ridges import Ridge
 
 _WINDOW = 6  # points on either side that settle the direction
+_JOIN_PX = 6.0
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.6, 20.0
 
 
@@ -62,8 +63,9 @@ def trace_ridges(
         background = side_background(profiles, start, width)
         centres = weighted_centroid(profiles, background.value, background.slope_variance, start, width)
         good = (np.abs(centres.shift_px) <= 1.5 * width + 1.0) & (centres.height > 0)
-        moved = Chains(chains.uv + normal * np.where(good, centres.shift_px, 0.0)[:, None], chains.chain)
         measured = np.where(good, np.clip(centres.width_px, _LEAST_WIDTH_PX, _MOST_WIDTH_PX), width)
+        good &= alike(chains, measured, 0.25)
+        moved = Chains(chains.uv + normal * np.where(good, centres.shift_px, 0.0)[:, None], chains.chain)
         chains, kept = break_chains(moved, tangent, good, least if k else max(4, least // 2))
         if len(chains) == 0:
             return None
@@ -71,6 +73,10 @@ def trace_ridges(
         dense = resample(Chains(local_lines(chains, 3)[0], chains.chain))
         width = _carry(chains, width, dense)
         chains = dense
+        if k == 0:
+            _, tangent = local_lines(chains, _WINDOW, 0.3)
+            chains, order = join_chains(chains, tangent, _JOIN_PX)
+            width = width[order]
     count = np.bincount(chains.chain)
     long = count[chains.chain] >= least
     if not long.any():
@@ -79,6 +85,16 @@ def trace_ridges(
     _, tangent = local_lines(chains, _WINDOW)
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
     return Trace(chains, normal, width, sample_profiles(value, clipped, chains.uv, normal, 4.0 * width + 4.0))
+
+
+def alike(chains: Chains, width_px: Float[np.ndarray, " n"], tolerance: float) -> Bool[np.ndarray, " n"]:
+    """True where a profile is as wide as its neighbours are; between the two sides of a jump and at corners it is not.
+
+    ``tolerance`` is relative; it grows where the widths scatter.
+    """
+    usual = chains.window_median(width_px, 12)
+    deviation = np.abs(width_px - usual)
+    return np.asarray(deviation <= tolerance * usual + 4.0 * chains.window_median(deviation, 20))
 
 
 def _start(ridges: list[Ridge]) -> tuple[Chains, Float[np.ndarray, " n"]]:
