@@ -18,8 +18,8 @@ from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
 
 IMAGE_FORMATS = ("png", "jpg", "bmp", "tiff")
 
-CHECKERBOARD = Checkerboard((14, 9), 6.0)
-DOTS = DotGrid((9, 9), 7.5, 4.0)
+CHECKERBOARD = Checkerboard((14, 9), 4.5)
+DOTS = DotGrid((9, 9), 6.0, 3.0)
 STEPPED_CYLINDER = SteppedCylinder(23.051, 36.006, 22.003, 25.005)
 BALL = Ball(28.475)
 ROD = Rod(38.004, 40.0)
@@ -172,7 +172,7 @@ def laser_capture(
 
     def draw() -> RigidTransform:
         foot = -rig.laser.plane_base.offset * rig.laser.plane_base.normal
-        centre = foot + rng.uniform(-30, 30) * along + rng.uniform(2, 42) * across
+        centre = foot + rng.uniform(-24, 24) * along + rng.uniform(2, 36) * across
         front = unit(unit(camera_base - centre) + 0.7 * unit(rig.laser.position_base - centre))
         front = unit(front + rng.normal(0.0, 0.25, 3))
         return _board_at(centre, _facing(front, np.array([0.0, 0.0, 1.0]), rng.uniform(-0.3, 0.3)), plate)

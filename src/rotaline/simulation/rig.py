@@ -33,7 +33,7 @@ class Sensor:
     black_level_dn: float = 2.0
     read_noise_dn: float = 0.6
     electrons_per_dn: float = 40.0
-    blur_px: float = 0.5
+    blur_px: float = 0.7
 
     def __post_init__(self) -> None:
         """Refuse bit depths that no file has."""
@@ -58,7 +58,7 @@ class Laser:
 
     plane_base: Plane
     position_base: Float[np.ndarray, "3"]
-    sigma_mm: float = 0.3
+    sigma_mm: float = 0.2
     peak_dn: float = 230.0
     speckle_contrast: float = 0.1
     speckle_grain_px: float = 0.7
@@ -80,7 +80,7 @@ class Rig:
     turn_sense: int = 1
     ambient_dn: float = 190.0
     ambient_laser_dn: float = 3.0
-    table_radius_mm: float = 90.0
+    table_radius_mm: float = 80.0
 
     def base_from_table(self, angle_deg: float) -> RigidTransform:
         """Where the table stands when the session's angle is ``angle_deg``."""
@@ -132,11 +132,11 @@ def build_rig(
     Notes
     -----
     The laser plane runs 0.7 mm past the rotation axis and is tilted by half a degree, as real ones do and are. The focal
-    length makes the shorter side of the image see 115 mm.
+    length makes the shorter side of the image see 92 mm.
     """
     width, height = image_size
     sensor = Sensor() if sensor is None else sensor
-    focal = min(width, height) / 115.0 * distance
+    focal = min(width, height) / 92.0 * distance
     camera = CameraModel(
         image_size, focal * 1.0004, focal, width / 2 + 2.3, height / 2 - 3.1, k1=-0.09, k2=0.07, p1=0.0005, p2=-0.0004
     )
@@ -153,10 +153,10 @@ def build_rig(
     tilt = np.radians(0.5)
     normal = np.array([-np.sin(azimuth) * np.cos(tilt), np.cos(azimuth) * np.cos(tilt), np.sin(tilt)])
     plane = Plane(normal, 0.7)
-    start = middle + _standing(-camera_side * 22.0, 42.0, 240.0)
+    start = middle + _standing(-camera_side * 22.0, 50.0, 240.0)
     start = start - plane.signed_distance_to(start[None])[0] * normal
-    # 1.4 px wide wherever it falls, so that every resolution samples the profile alike
-    laser = Laser(plane, start, sigma_mm=1.4 * distance / focal)
+    # as narrow as the pixels can sample: a wide stripe is biased on curved surfaces
+    laser = Laser(plane, start, sigma_mm=0.9 * distance / focal)
     return Rig(camera, camera_from_base, laser, sensor, turn_sense)
 
 

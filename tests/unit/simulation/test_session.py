@@ -37,7 +37,7 @@ def test_a_session_reads_back_as_the_format_says(tmp_path):
     with (tmp_path / "s" / "session.toml").open("rb") as stream:
         session = tomllib.load(stream)
     assert session["version"] == 1
-    assert session["targets"]["checkerboard"] == {"kind": "checkerboard", "inner_corners": [14, 9], "pitch": 6.0}
+    assert session["targets"]["checkerboard"] == {"kind": "checkerboard", "inner_corners": [14, 9], "pitch": 4.5}
     assert session["targets"]["stepped-cylinder"]["diameters"] == [23.051, 36.006]
     roles = {capture["folder"]: capture["role"] for capture in session["captures"]}
     assert roles == {
