@@ -200,7 +200,7 @@ def _collect(
         found.append(intervals)
     counts = [len(i.row) for i in found]
 
-    def rays(xy: list[Float[np.ndarray, "k 2"]]) -> Float[np.ndarray, "m 3"]:
+    def rays(xy: list[Float[np.ndarray, "_ 2"]]) -> Float[np.ndarray, "m 3"]:
         return np.column_stack([np.concatenate([np.empty((0, 2)), *xy]), np.ones(sum(counts))])
 
     return (

@@ -38,6 +38,7 @@ _CAUCHY = 2.4
 _ROBUST_ROUNDS = 8
 _REJECTION_ROUNDS = 6
 _RAYLEIGH_MEDIAN = 1.17741
+_SPREAD_RATIO = 2.0
 
 
 @dataclass(frozen=True)
@@ -96,11 +97,13 @@ def calibrate_camera(
     state, fit = _reject(state, views, camera, names, None, options)
     u_parameters, sigma_px, spread_ratio = _uncertainty(fit, state)
     warnings: list[str] = []
-    weak = describe_weak_parameters(fit.camera, names, covariance_from_factor(fit.information, sigma_px**2))
+    weak = describe_weak_parameters(
+        fit.camera, names, covariance_from_factor(fit.information, (spread_ratio * sigma_px) ** 2)
+    )
     if weak and options.weak_parameters == "regularise":
-        prior = _lens_prior(names, image_size, fit.camera, sigma_px)
+        prior = _lens_prior(names, image_size, fit.camera, spread_ratio * sigma_px)
         state, fit = _reject(state, views, _plain(fit.camera, image_size), names, prior, options)
-        u_parameters, sigma_px, spread_ratio = _uncertainty(fit, state)
+        u_parameters, sigma_px, spread_ratio = _uncertainty(fit, state, spread_ratio)
         warnings.append(
             "The views do not determine the camera by themselves ("
             + "; ".join(weak)
@@ -327,7 +330,9 @@ def _same(a: Sequence[_ViewState], b: Sequence[_ViewState]) -> bool:
     )
 
 
-def _uncertainty(fit: BundleFit, state: Sequence[_ViewState]) -> tuple[Float[np.ndarray, " p"], float, float]:
+def _uncertainty(
+    fit: BundleFit, state: Sequence[_ViewState], least_ratio: float = 1.0
+) -> tuple[Float[np.ndarray, " p"], float, float]:
     """Standard deviations of the parameters, sigma of a coordinate (px), and the factor that the views' spread added.
 
     The residuals say how large the noise is; leaving out each view in turn (one step) says what that noise, and anything
@@ -353,7 +358,8 @@ def _uncertainty(fit: BundleFit, state: Sequence[_ViewState]) -> tuple[Float[np.
         ]
         jackknife = np.sqrt((len(active) - 1) / len(active) * np.sum(np.square(changes), axis=0))
         ratio = float(np.median(jackknife / u))
-        ratio = ratio if ratio > 2.0 else 1.0
+        ratio = ratio if ratio > _SPREAD_RATIO else 1.0
+    ratio = max(ratio, least_ratio)
     return u * ratio, float(np.sqrt(variance)), ratio
 
 
