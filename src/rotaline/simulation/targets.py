@@ -92,7 +92,7 @@ class _Cells:
 
 def _squares_dark(columns: int, rows: int, cells: _Cells) -> Float[np.ndarray, " m"]:
     """Print of a checkerboard in units of its pitch; (0, 0) is the first inner corner, the square before it is dark."""
-    nearest = np.round(cells.xy)
+    nearest = np.clip(np.round(cells.xy), 0, (columns - 1, rows - 1))  # the outer edges are no change of colour
     sign = 1 - 2 * np.mod(nearest, 2)
     beyond = cells.xy - nearest
     wave = [sign[:, axis] * (2 * cells.beyond(beyond[:, axis], axis) - 1) for axis in (0, 1)]

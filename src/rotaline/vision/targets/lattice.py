@@ -1,0 +1,324 @@
+"""From scattered candidate points to a lattice: which candidates are neighbours in one grid, and where the grid stands in it.
+
+A lattice starts from a candidate with two pairs of opposite neighbours and grows from point to point: each step is predicted
+from the steps next to it, so perspective and distortion may bend the grid. Then a window of the expected number of columns and
+rows is laid over the integer coordinates. What was nearly found is kept for the error message.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from rotaline.errors import GeometryError
+from rotaline.vision.targets.grid_map import fit_grid_map_robust
+
+_NEIGHBOURS = 20
+_STEP_TOLERANCE = 0.3  # of a step; the next point must stand this close to its prediction
+_MINIMUM = 8  # points of a lattice worth looking at
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Points that may belong to a grid.
+
+    Attributes
+    ----------
+    uv : (n, 2)   px
+    phase : (n,)   corners: direction of the bright sector, rad modulo pi; it turns by pi/2 from corner to corner. Else NaN
+    size : (n,)   dots: area, px^2; similar in neighbours. Else NaN
+    """
+
+    uv: Float[np.ndarray, "n 2"]
+    phase: Float[np.ndarray, " n"]
+    size: Float[np.ndarray, " n"]
+
+    def matches(self, i: int, others: Int[np.ndarray, " k"], odd: bool) -> Bool[np.ndarray, " k"]:
+        """Whether the others may stand an odd (even) number of steps from point i."""
+        if np.isfinite(self.phase[i]):
+            turn = np.cos(2 * (self.phase[others] - self.phase[i]))
+            return np.asarray(turn < -0.5) if odd else np.asarray(turn > 0.5)
+        ratio = self.size[others] / self.size[i]
+        return np.asarray((ratio > 0.45) & (ratio < 2.2))
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Candidates with integer coordinates.
+
+    Attributes
+    ----------
+    ids : (n,)   index of the candidate
+    cells : (n, 2)   integer coordinates; steps in the first and the second turn right-handed in the image (u to v)
+    """
+
+    ids: Int[np.ndarray, " n"]
+    cells: Int[np.ndarray, "n 2"]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """A grid laid over a lattice: lattice cell = origin + column * column_step + row * row_step."""
+
+    origin: Int[np.ndarray, "2"]
+    column_step: Int[np.ndarray, "2"]
+    row_step: Int[np.ndarray, "2"]
+
+    def grid_of(self, cells: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
+        """Column and row of lattice cells (outside the grid too)."""
+        steps = np.stack([self.column_step, self.row_step], axis=1)
+        return np.round((cells - self.origin) @ np.linalg.inv(steps).T).astype(int)
+
+
+def grow_lattices(candidates: Candidates, max_seeds: int = 400) -> Iterator[Lattice]:
+    """Lattices among the candidates, each from a fresh seed; the candidates' order is the order of the seeds."""
+    n = len(candidates.uv)
+    if n < _MINIMUM:
+        return
+    tree = cKDTree(candidates.uv)
+    k = min(_NEIGHBOURS + 1, n)
+    near = tree.query(candidates.uv, k=k)[1][:, 1:]
+    used = np.zeros(n, dtype=bool)
+    tried = 0
+    for seed in range(n):
+        if used[seed] or tried >= max_seeds:
+            continue
+        tried += 1
+        star = _opposite_pairs(candidates, seed, near[seed])
+        if star is None:
+            continue
+        assigned = _grow(candidates, seed, star, near)
+        if len(assigned) < _MINIMUM:
+            continue
+        lattice = _fill(candidates, assigned, tree)
+        used[lattice.ids] = True
+        yield lattice
+
+
+def _opposite_pairs(
+    candidates: Candidates, seed: int, near: Int[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]] | None:
+    """The two shortest steps from a point for which neighbours stand on both sides; turned right-handed."""
+    near = near[candidates.matches(seed, near, odd=True)]
+    if len(near) < 4:
+        return None
+    steps = candidates.uv[near] - candidates.uv[seed]
+    lengths = np.linalg.norm(steps, axis=1)
+    mismatch = np.linalg.norm(steps[:, None, :] + steps[None, :, :], axis=2)
+    opposite = mismatch.argmin(axis=1)
+    good = mismatch[np.arange(len(near)), opposite] < _STEP_TOLERANCE * lengths
+    mean_steps = (steps - steps[opposite]) / 2
+    first: np.ndarray | None = None
+    for i in np.argsort(lengths):
+        if not good[i]:
+            continue
+        if first is None:
+            first = mean_steps[i]
+            continue
+        second = mean_steps[i]
+        cross = first[0] * second[1] - first[1] * second[0]
+        if abs(cross) > 0.25 * np.linalg.norm(first) * np.linalg.norm(second):
+            return (first, second) if cross > 0 else (first, -second)
+    return None
+
+
+def _grow(
+    candidates: Candidates,
+    seed: int,
+    star: tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]],
+    near: Int[np.ndarray, "n k"],
+) -> dict[tuple[int, int], int]:
+    """Grow from the seed; each point inherits the steps that led to it."""
+    uv = candidates.uv
+    assigned = {(0, 0): seed}
+    taken = {seed}
+    queue = deque([((0, 0), star[0], star[1])])
+    while queue:
+        cell, a, b = queue.popleft()
+        here = assigned[cell]
+        around = near[here]
+        around = around[candidates.matches(here, around, odd=True)]
+        if not len(around):
+            continue
+        offsets = uv[around] - uv[here]
+        found: dict[tuple[int, int], np.ndarray] = {}
+        for di, dj in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+            step = di * a + dj * b
+            distance = np.linalg.norm(offsets - step, axis=1)
+            best = int(distance.argmin())
+            if distance[best] < _STEP_TOLERANCE * np.linalg.norm(step):
+                found[di, dj] = offsets[best]
+                target = (cell[0] + di, cell[1] + dj)
+                candidate = int(around[best])
+                if target in assigned or candidate in taken:
+                    continue
+                assigned[target] = candidate
+                taken.add(candidate)
+                new_a = di * offsets[best] if di else a
+                new_b = dj * offsets[best] if dj else b
+                queue.append((target, new_a, new_b))
+    return assigned
+
+
+def _fill(candidates: Candidates, assigned: dict[tuple[int, int], int], tree: cKDTree) -> Lattice:
+    """Drop points that do not follow a smooth map, then look for missing ones in gaps and around, until nothing changes."""
+    for _ in range(12):
+        cells = np.array(list(assigned.keys()))
+        ids = np.array(list(assigned.values()))
+        try:
+            step = _median_step(cells, candidates.uv[ids])
+            grid_map, kept, _ = fit_grid_map_robust(
+                cells.astype(float), candidates.uv[ids], floor_px=0.12 * step, max_degree=3 if len(ids) >= 60 else 2
+            )
+        except GeometryError:
+            return Lattice(ids, cells)
+        cells, ids = cells[kept], ids[kept]
+        assigned = {(int(c[0]), int(c[1])): int(i) for c, i in zip(cells, ids, strict=True)}
+        low, high = cells.min(axis=0) - 1, cells.max(axis=0) + 1
+        if np.prod(high - low + 1) > 20000:
+            break
+        grid = np.stack(np.meshgrid(*[np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]), axis=-1)
+        free = np.array([c for c in grid.reshape(-1, 2).tolist() if tuple(c) not in assigned]).reshape(-1, 2)
+        free = free[_beside(free, cells)]
+        if not len(free):
+            break
+        predicted = grid_map.apply(free.astype(float))
+        local = np.sqrt(np.abs(np.linalg.det(grid_map.jacobian(free.astype(float)))))
+        finite = np.all(np.isfinite(predicted), axis=1)
+        free, predicted, local = free[finite], predicted[finite], local[finite]
+        distance, index = tree.query(predicted)
+        taken = set(assigned.values())
+        reference = int(ids[0])
+        added = False
+        for cell, d, i, size in zip(free.tolist(), distance, index, local, strict=True):
+            odd = bool((cell[0] + cell[1] - cells[0].sum()) % 2)
+            if d < 0.2 * size and int(i) not in taken and _matches_far(candidates, reference, int(i), odd):
+                assigned[cell[0], cell[1]] = int(i)
+                taken.add(int(i))
+                added = True
+        if not added:
+            break
+    cells = np.array(list(assigned.keys()))
+    return Lattice(np.array(list(assigned.values())), cells)
+
+
+def _matches_far(candidates: Candidates, reference: int, other: int, odd: bool) -> bool:
+    """Looser than ``matches``: perspective changes phase and size over the grid."""
+    if np.isfinite(candidates.phase[reference]):
+        turn = float(np.cos(2 * (candidates.phase[other] - candidates.phase[reference])))
+        return turn < 0 if odd else turn > 0
+    return bool(0.1 < candidates.size[other] / candidates.size[reference] < 10)
+
+
+def _beside(free: Int[np.ndarray, "m 2"], cells: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, " m"]:
+    """Free cells with an assigned one within two steps."""
+    if not len(free):
+        return np.zeros(0, dtype=bool)
+    return np.asarray(cKDTree(cells).query(free, p=np.inf)[0] <= 2)
+
+
+def _median_step(cells: Int[np.ndarray, "n 2"], uv: Float[np.ndarray, "n 2"]) -> float:
+    """Typical distance of neighbours, px."""
+    pairs = cKDTree(cells).query_pairs(1.01, output_type="ndarray")
+    if not len(pairs):
+        raise GeometryError("No two neighbours in the lattice.")
+    return float(np.median(np.linalg.norm(uv[pairs[:, 0]] - uv[pairs[:, 1]], axis=1)))
+
+
+_SHEARS = ((1, 0, 0, 1), (1, 1, 0, 1), (1, -1, 0, 1), (1, 0, 1, 1), (1, 0, -1, 1))
+
+
+def place_grid(lattice: Lattice, grid_size: tuple[int, int], sheared: bool) -> tuple[Placement | None, tuple[int, int]]:
+    """Lay a grid of the expected size over the lattice.
+
+    The grid fits where its border lines are well occupied and the lines next to it outside are not. A quarter turn is tried
+    where the size allows it, and with ``sheared`` also lattices whose steps run along diagonals of the grid.
+
+    Returns
+    -------
+    placement : Placement or None   None: the size is another one
+    found : (columns, rows)   size of the well-occupied part of the lattice
+    """
+    best: tuple[float, Placement] | None = None
+    seen = (0, 0)
+    for shear in _SHEARS if sheared else _SHEARS[:1]:
+        matrix = np.array(shear).reshape(2, 2)
+        cells = lattice.cells @ matrix.T
+        low = cells.min(axis=0)
+        shape = cells.max(axis=0) - low + 1
+        if shape.max() > 400:
+            continue
+        occupied = np.zeros(shape, dtype=bool)
+        occupied[tuple((cells - low).T)] = True
+        core = _core(occupied)
+        if core[0] * core[1] > seen[0] * seen[1]:
+            seen = core
+        for turned in (False, True):
+            size = grid_size[::-1] if turned else grid_size
+            score, corner = _best_window(occupied, size)
+            if corner is None or (best is not None and score <= best[0]):
+                continue
+            inverse = np.round(np.linalg.inv(matrix)).astype(int)
+            first = np.array(corner) + low
+            axes = np.eye(2, dtype=int)
+            if turned:  # columns run along the second lattice axis, rows against the first: right-handed
+                first = first + np.array([size[0] - 1, 0])
+                steps = (axes[1], -axes[0])
+            else:
+                steps = (axes[0], axes[1])
+            best = (score, Placement(inverse @ first, inverse @ steps[0], inverse @ steps[1]))
+        if best is not None and best[0] > 0.98:
+            break
+    return (best[1] if best else None), seen
+
+
+def _best_window(occupied: Bool[np.ndarray, "a b"], size: tuple[int, int]) -> tuple[float, tuple[int, int] | None]:
+    """Place of the window with the given size that holds most points, if it is convincing; its filled part."""
+    padded = np.pad(occupied.astype(int), ((size[0], size[0]), (size[1], size[1])))
+    total = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+
+    def count(i: int, j: int, height: int, width: int) -> int:
+        return int(total[i + height, j + width] - total[i, j + width] - total[i + height, j] + total[i, j])
+
+    sums = (
+        total[size[0] :, size[1] :]
+        - total[: -size[0], size[1] :]
+        - total[size[0] :, : -size[1]]
+        + total[: -size[0], : -size[1]]
+    )
+    i, j = (int(x) for x in np.unravel_index(int(sums.argmax()), sums.shape))
+    height, width = size
+    filled = float(sums[i, j]) / (height * width)
+    borders = (
+        count(i, j, 1, width) / width,
+        count(i + height - 1, j, 1, width) / width,
+        count(i, j, height, 1) / height,
+        count(i, j + width - 1, height, 1) / height,
+    )
+    outside = [
+        count(i - 1, j, 1, width) / width if i > 0 else 0.0,
+        count(i + height, j, 1, width) / width if i + height < padded.shape[0] else 0.0,
+        count(i, j - 1, height, 1) / height if j > 0 else 0.0,
+        count(i, j + width, height, 1) / height if j + width < padded.shape[1] else 0.0,
+    ]
+    if filled < 0.6 or min(borders) < 0.4 or max(outside) > 0.5:
+        return 0.0, None
+    return filled, (i - height, j - width)
+
+
+def _core(occupied: Bool[np.ndarray, "a b"]) -> tuple[int, int]:
+    """Size of the lattice without border lines that are less than half occupied."""
+    part = occupied
+    while part.size:
+        ends = (part[0].mean(), part[-1].mean(), part[:, 0].mean(), part[:, -1].mean())
+        worst = int(np.argmin(ends))
+        if ends[worst] >= 0.5:
+            break
+        part = (part[1:], part[:-1], part[:, 1:], part[:, :-1])[worst]
+    return int(part.shape[0]), int(part.shape[1])
