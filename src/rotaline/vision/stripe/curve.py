@@ -184,7 +184,9 @@ def join_chains(
     for k in np.argsort(gap[i, j]):
         if partner[i[k]] < 0 and partner[j[k]] < 0:
             partner[i[k]], partner[j[k]] = j[k], i[k]
-    order, label, done = [], [], np.zeros(len(spans), dtype=bool)
+    order: list[np.ndarray] = []
+    label: list[np.ndarray] = []
+    done = np.zeros(len(spans), dtype=bool)
     starts = [e for e in range(len(ends)) if partner[e] < 0] + list(range(len(ends)))  # open ends first, then rings
     for entry in starts:
         if done[entry // 2]:

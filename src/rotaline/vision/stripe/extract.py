@@ -1,10 +1,10 @@
 """From an image to the centre points of the laser stripe."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32
 
 from rotaline.vision.images import Image
 from rotaline.vision.stripe.background import Background, side_background, step_background
@@ -12,13 +12,15 @@ from rotaline.vision.stripe.centres import Centres, fit_gaussian, weighted_centr
 from rotaline.vision.stripe.curve import Chains, break_chains
 from rotaline.vision.stripe.model import StripePoints
 from rotaline.vision.stripe.profiles import Profiles
-from rotaline.vision.stripe.ridges import find_ridges
-from rotaline.vision.stripe.signal import StripeSignal, stripe_signal
+from rotaline.vision.stripe.rows import cross_rows, flat_centroid
+from rotaline.vision.stripe.signal import find_stripe, measuring_plane, split_frame
+from rotaline.vision.stripe.steger import steger_centres
 from rotaline.vision.stripe.trace import Trace, alike, trace_ridges
 from rotaline.vision.stripe.uncertainty import pixel_noise, scatter_and_floor
 
 Method = Literal["gray-gravity", "improved-gray-gravity", "steger", "profile-fit"]
-Channel = Literal["auto", "red", "green", "blue", "grey"]
+Channel = Literal["auto", "red", "green", "blue"]
+Colour = Literal["auto", "red", "green", "blue", "none"]
 
 _WINDOWS = (1.0, 1.5, 2.0)
 
@@ -29,7 +31,11 @@ class StripeOptions:
 
     method: Method = field(default="improved-gray-gravity", metadata={"help": "how the centre is found in a profile"})
     channel: Channel = field(
-        default="auto", metadata={"help": "channel of a colour image; auto takes the one that shows the stripe best"}
+        default="auto",
+        metadata={"help": "channel of a colour image to measure in; auto takes the one that shows the stripe best"},
+    )
+    laser_colour: Colour = field(
+        default="auto", metadata={"help": "colour by which the stripe is found in a colour image; none: by brightness"}
     )
     threshold: float = field(
         default=6.0, metadata={"help": "least height of the stripe, as a multiple of the image's noise"}
@@ -61,40 +67,62 @@ def extract_stripe(
     ValueError
         If the two images differ in shape or type.
     """
-    signal = stripe_signal(image, background, options.channel)
-    ridges = find_ridges(signal.score, options.threshold, options.min_contrast * signal.unit, options.min_length_px)
-    trace = trace_ridges(ridges, signal.value, signal.clipped, options.min_length_px)
+    frame = split_frame(image, background)
+    ridges = find_stripe(frame, options.laser_colour, options.threshold, options.min_contrast, options.min_length_px)
+    if not ridges:
+        return _empty()
+    k = measuring_plane(frame, options.channel, ridges)
+    trace = trace_ridges(ridges, frame.planes[k], frame.clipped[k], options.min_length_px)
     if trace is None:
         return _empty()
-    return _measure(trace, signal, options)
+    return _measure(trace, frame.planes[k], frame.clipped[k], frame.unit, options)
 
 
-def _measure(trace: Trace, signal: StripeSignal, options: StripeOptions) -> StripePoints:
+def _measure(
+    trace: Trace,
+    image: Float32[np.ndarray, "h w"],
+    clipped: Bool[np.ndarray, "h w"] | None,
+    unit: float,
+    options: StripeOptions,
+) -> StripePoints:
     """Centres and uncertainties by the chosen method."""
+    normal = trace.normal
+    if options.method == "gray-gravity":
+        trace, normal = cross_rows(trace, image, clipped)
+    cosine = np.abs((trace.normal * normal).sum(axis=1))
     profiles, width = trace.profiles, trace.width_px
     zero = np.zeros(len(width))
     line = side_background(profiles, zero, width)
     rough = weighted_centroid(profiles, line.value, line.slope_variance, zero, width)
     found = np.isfinite(rough.shift_px)
     start = np.where(found, rough.shift_px, 0.0)
-    noise = pixel_noise(profiles, trace.chains, start, width, 0.29 * signal.unit)
-    ground, start = step_background(profiles, trace.chains, start, width, line, noise)
-    centres, floor = _centres(trace, ground, start, rough, noise, options)
+    noise = pixel_noise(profiles, trace.chains, start, width, 0.29 * unit)
+    if options.method == "gray-gravity":
+        centres = flat_centroid(profiles, width, start)
+        floor = _scatter(trace, centres, noise)[1]
+    elif options.method == "steger":
+        centres, first = steger_centres(image, trace.chains.uv + start[:, None] * normal, normal, width)
+        centres = replace(centres, shift_px=centres.shift_px + start, height=rough.height)
+        found &= first
+        floor = _scatter(trace, centres, noise)[1]
+    else:
+        ground, start = step_background(profiles, trace.chains, start, width, line, noise)
+        centres, floor = _centres(trace, ground, start, rough, noise, options)
     core = np.abs(profiles.offset_px - start[:, None]) <= 1.5 * width[:, None]
     saturated = (profiles.clipped & core).any(axis=1)
-    u = np.hypot(centres.u_px * noise, floor)
+    u = np.hypot(centres.u_px * noise, floor) * cosine
     with np.errstate(invalid="ignore"):
         good = found & (np.abs(centres.shift_px) <= width + 1.0) & (u < 1.0) & (centres.height > 2.5 * noise)
-        good &= alike(trace.chains, centres.width_px, 0.2) & _inside(trace, signal)
-        good &= centres.height > 0.5 * options.min_contrast * signal.unit
+        good &= centres.height > 0.5 * options.min_contrast * unit
+        good &= alike(trace.chains, centres.width_px, 0.2) & _inside(trace, image)
     shift = np.where(good, centres.shift_px, 0.0)
     moved = Chains(trace.chains.uv + trace.normal * shift[:, None], trace.chains.chain)
-    tangent = np.column_stack([trace.normal[:, 1], -trace.normal[:, 0]])
+    tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
     chains, kept = break_chains(moved, tangent, good, max(4, int(options.min_length_px)))
     return StripePoints(
         uv=chains.uv,
-        normal=trace.normal[kept],
-        width_px=centres.width_px[kept],
+        normal=normal[kept],
+        width_px=(centres.width_px * cosine)[kept],
         intensity=centres.height[kept],
         u_normal_px=u[kept],
         saturated=saturated[kept],
@@ -141,10 +169,10 @@ def _replace_clipped(
         return centres
     part = profiles.select(clipped)
     fit = fit_gaussian(part, ground.value[clipped], start[clipped], width[clipped], 1.5 * rough.height[clipped], False)
-    replace = np.isfinite(fit.shift_px) & (np.abs(fit.shift_px - start[clipped]) < width[clipped])
-    index = np.flatnonzero(clipped)[replace]
+    taken = np.isfinite(fit.shift_px) & (np.abs(fit.shift_px - start[clipped]) < width[clipped])
+    index = np.flatnonzero(clipped)[taken]
     shift, u, wide = centres.shift_px.copy(), centres.u_px.copy(), centres.width_px.copy()
-    shift[index], u[index], wide[index] = fit.shift_px[replace], fit.u_px[replace], fit.width_px[replace]
+    shift[index], u[index], wide[index] = fit.shift_px[taken], fit.u_px[taken], fit.width_px[taken]
     return Centres(shift, u, wide, centres.height)
 
 
@@ -155,9 +183,9 @@ def _scatter(trace: Trace, centres: Centres, noise: Float[np.ndarray, " n"]) -> 
     return scatter_and_floor(Chains(uv, trace.chains.chain), trace.normal, np.where(good, centres.u_px * noise, 9.0))
 
 
-def _inside(trace: Trace, signal: StripeSignal) -> Bool[np.ndarray, " n"]:
+def _inside(trace: Trace, image: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:
     """True where the image holds the profile to two widths on both sides."""
-    top = np.array(signal.value.shape[::-1]) - 1.0
+    top = np.array(image.shape[::-1]) - 1.0
     reach = trace.normal * 2.0 * trace.width_px[:, None]
     ends = np.stack([trace.chains.uv - reach, trace.chains.uv + reach])
     return np.asarray(((ends >= 0.0) & (ends <= top)).all(axis=(0, 2)))
