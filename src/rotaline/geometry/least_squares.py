@@ -21,7 +21,7 @@ from rotaline.errors import GeometryError
 
 State = TypeVar("State")
 
-MAX_ITERATIONS = 200
+MAX_ITERATIONS = 100
 MAX_CONDITION = 1e10
 
 
@@ -99,7 +99,7 @@ def minimise(
         raise GeometryError("The points do not determine the parameters.")
     if not settled:
         raise GeometryError(
-            f"The fit did not settle in {MAX_ITERATIONS} iterations: the points hardly determine the parameters."
+            f"The fit did not settle in {MAX_ITERATIONS} iterations, so the points hardly determine the parameters."
         )
     return Solution(state, residuals, factor, n_iterations)
 

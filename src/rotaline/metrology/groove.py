@@ -1,0 +1,267 @@
+"""A groove in a block: depth and widths.
+
+The top is a plane that lies on both sides of a lower, parallel plane, the bottom. The depth is the mean distance of the
+bottom's points from the plane fitted to the top (Li et al. 2026, section 5.6). The flanks between them, where they were
+seen, give the widths: the distances of the lines in which they meet the top and the bottom, in the middle of the length.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from rotaline.errors import GeometryError, MeasurementError
+from rotaline.geometry.fitting import across
+from rotaline.geometry.primitives import Plane, unit
+from rotaline.geometry.robust import ransac_plane
+from rotaline.metrology.model import FeatureMeasurement
+from rotaline.metrology.planes import (
+    ParallelFit,
+    PlanePatch,
+    are_parallel,
+    fit_parallel,
+    plane_band,
+    segment_planes,
+)
+from rotaline.metrology.plausibility import describe_scene, edge_margin
+from rotaline.metrology.scene import Scene, SearchCloud
+from rotaline.metrology.surface_fit import SurfaceFit, fit_all_points, form_error
+
+MIN_SIDE = 0.08
+"""Smallest share of the top plane that must lie on either side of the bottom."""
+
+
+@dataclass(frozen=True, eq=False)
+class GrooveShape:
+    """Top and bottom found in the thinned cloud, and the direction across the groove in the top's plane."""
+
+    top: PlanePatch
+    bottom: PlanePatch
+    across: Float[np.ndarray, "3"]
+    depth: float
+    left_edge: float
+    right_edge: float
+    bottom_edges: tuple[float, float]
+    side_width: float
+
+
+@dataclass(frozen=True, eq=False)
+class Corner:
+    """Where a flank meets the top or the bottom in the middle of the length: place across the groove, mm, and the point."""
+
+    place: float
+    u_place: float
+    point: Float[np.ndarray, "3"]
+
+
+def measure_groove(scene: Scene, nominal: dict[str, float] | None) -> FeatureMeasurement:
+    """Depth of a groove and its widths at the top and at the bottom.
+
+    Raises
+    ------
+    MeasurementError
+        If there is no plane with a lower parallel one between two parts of it; the message says what was found instead.
+    """
+    shape = _find_shape(scene, nominal)
+    try:
+        top = _fit(scene, shape.top, shape.side_width)
+        bottom = _fit(scene, shape.bottom, shape.bottom_edges[1] - shape.bottom_edges[0])
+    except GeometryError as error:
+        raise MeasurementError(f"A groove was found, but its planes cannot be fitted: {error}") from error
+    top_plane, bottom_plane = top.surface, bottom.surface
+    assert isinstance(top_plane, Plane)
+    assert isinstance(bottom_plane, Plane)
+    distances = -top_plane.signed_distance_to(scene.points[bottom.used])
+    depth = float(distances.mean())
+    top_cov, bottom_cov = fit_parallel(scene, (top,)), fit_parallel(scene, (bottom,))
+    middle = bottom_cov.centroids[0]
+    u_depth = float(np.hypot(_u_at(top_cov, middle), bottom_cov.u_offsets[0]))
+
+    value, uncertainty = {"depth": depth}, {"depth": u_depth}
+    warnings = []
+    flanks = [_fit_flank(scene, shape, side, top.rms) for side in (-1.0, 1.0)]
+    geometry: dict[str, float | list[float]] = {
+        "top_normal": top_plane.normal.tolist(),
+        "top_offset": top_plane.offset,
+        "bottom_centroid": middle.tolist(),
+    }
+    if all(flank is not None for flank in flanks):
+        left, right = flanks
+        assert left is not None
+        assert right is not None
+        along = _groove_axis(top_plane, left, right)
+        geometry["direction"] = along.tolist()
+        sideways = np.cross(along, top_plane.normal)
+        sideways = sideways * (1.0 if sideways @ shape.across > 0 else -1.0)
+        for name, level, level_cov in (("top", top_plane, top_cov), ("bottom", bottom_plane, bottom_cov)):
+            a, b = (_corner(scene, level, level_cov, flank, middle, sideways) for flank in (left, right))
+            value[f"width_{name}"] = b.place - a.place
+            uncertainty[f"width_{name}"] = float(np.hypot(a.u_place, b.u_place))
+            geometry[f"corner_{name}_left"], geometry[f"corner_{name}_right"] = a.point.tolist(), b.point.tolist()
+    else:
+        missing = [name for name, flank in zip(("one", "the other"), flanks, strict=True) if flank is None]
+        warnings.append(
+            f"The groove's flank was not seen on {' and '.join(missing)} side: the widths cannot be measured. "
+            "Take frames over a full turn, or set the part so that the laser reaches the flanks."
+        )
+    tilt = float(np.arccos(np.clip(top_plane.normal @ bottom_plane.normal, -1.0, 1.0)))
+    if tilt > np.deg2rad(0.5):
+        warnings.append(
+            f"Top and bottom are {np.rad2deg(tilt):.2f} deg from parallel; the depth is the mean over the bottom. "
+            "Look at the residuals."
+        )
+    if max(top.rms, bottom.rms) > 0.02 * depth:
+        warnings.append(
+            f"The points scatter {max(top.rms, bottom.rms):.3g} mm about the planes of a groove of {depth:.4g} mm depth. "
+            "Look at the residuals."
+        )
+    used = np.concatenate([top.used, bottom.used])
+    residuals = np.concatenate([top.residuals, depth - distances])
+    return FeatureMeasurement(
+        "groove",
+        value,
+        uncertainty,
+        len(used),
+        float(np.sqrt(np.mean(residuals**2))),
+        form_error(residuals),
+        scene.indices[used],
+        residuals,
+        geometry,
+        1.0,
+        tuple(warnings),
+    )
+
+
+def _find_shape(scene: Scene, nominal: dict[str, float] | None) -> GrooveShape:
+    """The best pair of planes that makes a groove."""
+    patches = segment_planes(scene)
+    shapes = []
+    for top in patches:
+        for bottom in patches:
+            if top is bottom or not are_parallel(top, bottom):
+                continue
+            depth = -float(np.median(top.plane.signed_distance_to(bottom.support.points)))
+            if depth > 2 * plane_band(scene):
+                shape = _between(top, bottom, depth)
+                if shape is not None:
+                    shapes.append(shape)
+    if not shapes:
+        levels = sum(are_parallel(a, b) for i, a in enumerate(patches) for b in patches[i + 1 :])
+        hint = "Measure it as a step if only one side is there. " if levels else ""
+        raise MeasurementError(
+            f"No groove in the cloud: of its {len(patches)} planes, {levels} pairs are parallel, but none lies lower than "
+            f"another and between two parts of it. {hint}{describe_scene(scene)} Name the region of the groove if it is there."
+        )
+    if nominal is not None and "depth" in nominal:
+        return min(shapes, key=lambda shape: abs(shape.depth - nominal["depth"]))
+    return max(shapes, key=lambda shape: min(shape.bottom.area, shape.top.area))
+
+
+def _between(top: PlanePatch, bottom: PlanePatch, depth: float) -> GrooveShape | None:
+    """The direction in the plane in which the bottom parts the top best; None if there is none."""
+    e1, e2 = across(top.plane.normal)
+    origin = bottom.support.points.mean(axis=0)
+    top_2d = (top.support.points - origin) @ np.column_stack([e1, e2])
+    bottom_2d = (bottom.support.points - origin) @ np.column_stack([e1, e2])
+    best: tuple[float, np.ndarray, np.ndarray, tuple[float, float]] | None = None
+    for angle in np.deg2rad(np.arange(0.0, 180.0, 2.0)):
+        m = np.array([np.cos(angle), np.sin(angle)])
+        places = top_2d @ m
+        low, high = np.quantile(bottom_2d @ m, [0.03, 0.97])
+        left, right = float(np.mean(places < low)), float(np.mean(places > high))
+        score = min(left, right) - 2.0 * (1.0 - left - right) - 0.01 * (high - low) / depth
+        if min(left, right) >= MIN_SIDE and 1.0 - left - right < 0.1 and (best is None or score > best[0]):
+            best = (score, m, places, (float(low), float(high)))
+    if best is None:
+        return None
+    _, m, places, (low, high) = best
+    left_places, right_places = places[places < low], places[places > high]
+    widths = [float(np.subtract(*np.quantile(side, [0.95, 0.05]))) for side in (left_places, right_places)]
+    return GrooveShape(
+        top,
+        bottom,
+        m[0] * e1 + m[1] * e2,
+        depth,
+        float(np.quantile(left_places, 0.98)),
+        float(np.quantile(right_places, 0.02)),
+        (low, high),
+        min(widths),
+    )
+
+
+def _fit(scene: Scene, patch: PlanePatch, width: float) -> SurfaceFit:
+    margin = edge_margin(scene, max(width, 1e-6))
+    return fit_all_points(scene, patch.plane, patch.support, 2 * plane_band(scene), margin)
+
+
+def _fit_flank(scene: Scene, shape: GrooveShape, side: float, noise: float) -> SurfaceFit | None:
+    """The flank on one side (-1 or +1 across the groove), or None if too little of it was seen.
+
+    A flank may be shorter than the cells of the thinned cloud, so all points between the two levels are searched.
+    """
+    origin = shape.bottom.support.points.mean(axis=0)
+    place = side * ((scene.points - origin) @ shape.across)
+    height = -shape.top.plane.signed_distance_to(scene.points)
+    inner = shape.bottom_edges[1] if side > 0 else -shape.bottom_edges[0]
+    outer = shape.right_edge if side > 0 else -shape.left_edge
+    margin = max(min(edge_margin(scene, shape.depth), 0.2 * shape.depth), 4.0 * noise)
+    slack = 2.0 * scene.part.spacing
+    zone = np.flatnonzero(
+        (place > inner - max(slack, 0.3 * inner))
+        & (place < outer + slack)
+        & (height > margin)
+        & (height < shape.depth - margin)
+    )
+    if len(zone) < scene.options.min_points:
+        return None
+    band = max(6.0 * noise, 0.01 * shape.depth)
+    try:
+        plane, on = ransac_plane(scene.points[zone], band, scene.rng(), n_min=scene.options.min_points)
+        if abs(plane.normal @ shape.across) < np.sin(np.deg2rad(10.0)):
+            return None
+        facing = plane if side * (plane.normal @ shape.across) < 0 else plane.flipped()
+        support = SearchCloud(scene.points[zone[on]], scene.points[zone[on]], scene.part.spacing, 0.0)
+        inside = np.zeros(len(scene.points), dtype=bool)
+        inside[zone] = True
+        return fit_all_points(scene, facing, support, band, 0.0, inside)
+    except (GeometryError, MeasurementError):
+        return None
+
+
+def _groove_axis(top: Plane, left: SurfaceFit, right: SurfaceFit) -> Float[np.ndarray, "3"]:
+    """Mean direction of the lines in which the flanks meet the top."""
+    directions: list[np.ndarray] = []
+    for flank in (left, right):
+        assert isinstance(flank.surface, Plane)
+        line = unit(np.cross(top.normal, flank.surface.normal))
+        directions.append(line if not directions or line @ directions[0] > 0 else -line)
+    return unit(directions[0] + directions[1])
+
+
+def _corner(
+    scene: Scene,
+    level: Plane,
+    level_cov: ParallelFit,
+    flank: SurfaceFit,
+    middle: Float[np.ndarray, "3"],
+    sideways: Float[np.ndarray, "3"],
+) -> Corner:
+    """Where a flank meets a level, in the cross-section through the middle."""
+    side = flank.surface
+    assert isinstance(side, Plane)
+    up = level.normal
+    rows = np.array([[side.normal @ sideways, side.normal @ up], [level.normal @ sideways, level.normal @ up]])
+    right = -np.array([side.normal @ middle + side.offset, level.normal @ middle + level.offset])
+    place, height = np.linalg.solve(rows, right)
+    point = middle + place * sideways + height * up
+    flank_cov = fit_parallel(scene, (flank,))
+    # A shift of the flank moves the corner by 1 / cos, a shift of the level by the flank's slope.
+    steep = abs(rows[0, 0])
+    u_place = float(np.hypot(_u_at(flank_cov, point) / steep, _u_at(level_cov, point) * abs(rows[0, 1]) / steep))
+    return Corner(float(place), u_place, point)
+
+
+def _u_at(plane_cov: ParallelFit, at: Float[np.ndarray, "3"]) -> float:
+    """Standard uncertainty of a fitted plane along its normal at a place, mm."""
+    lever = at - plane_cov.centroids[0]
+    return float(np.sqrt(plane_cov.u_offsets[0] ** 2 + lever @ plane_cov.cov_normal @ lever))

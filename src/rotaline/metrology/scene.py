@@ -1,0 +1,237 @@
+"""A cloud made ready for the search: cropped, thinned evenly, with local normals, the table top found and set aside.
+
+A rotary line scan is dense along the stripe and sparse across it; thinning by cells makes areas count instead of points.
+The cells are made just large enough that neighbourhoods spread in two directions, so that local planes mean something.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from rotaline.errors import GeometryError, MeasurementError
+from rotaline.geometry.fitting import fit_plane_orthogonal
+from rotaline.geometry.primitives import Plane
+from rotaline.geometry.robust import mad_scale, ransac_plane
+from rotaline.metrology.model import Region
+from rotaline.metrology.options import MeasureOptions
+
+MAX_RAW = 300_000
+"""Points beyond this number do not take part in the search."""
+
+NEIGHBOURS = 14
+TABLE_TILT_RAD = np.deg2rad(10.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SearchCloud:
+    """Evenly thinned points with unit normals (of either sign); ``spacing`` is the cell size, mm.
+
+    ``roughness`` is the typical distance of points from the local plane, mm: noise, and the bend of the surface within a cell.
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    spacing: float
+    roughness: float
+
+    def select(self, keep: Bool[np.ndarray, " n"]) -> "SearchCloud":
+        """The points for which ``keep`` is true."""
+        return replace(self, points=self.points[keep], normals=self.normals[keep])
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A cloud with its table top.
+
+    Attributes
+    ----------
+    points : (n, 3)   all finite points of the region, mm
+    viewpoints : (n, 3) or None   where each was seen from
+    indices : (n,)   their places in the cloud that was given
+    part : the thinned points that do not belong to the table
+    table : the table top, normal up; None if none was found
+    table_cloud : its thinned points (none without a table)
+    extent : size of the part (without its outermost points), mm
+    gap : distance of neighbouring points along the stripe, mm (the cell size, if the cloud is not in the order of the scan)
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    viewpoints: Float[np.ndarray, "n 3"] | None
+    indices: Int[np.ndarray, " n"]
+    part: SearchCloud
+    table: Plane | None
+    table_cloud: SearchCloud
+    extent: float
+    gap: float
+    options: MeasureOptions
+
+    def rng(self) -> np.random.Generator:
+        """Random numbers for one search."""
+        return np.random.default_rng(self.options.seed)
+
+
+def build_scene(
+    points: Float[np.ndarray, "n 3"],
+    viewpoints: Float[np.ndarray, "n 3"] | None,
+    region: Region | None,
+    options: MeasureOptions,
+) -> Scene:
+    """Crop, thin, find the table.
+
+    Raises
+    ------
+    MeasurementError
+        If the region holds too few points.
+    """
+    keep = np.all(np.isfinite(points), axis=1)
+    n_finite = int(np.count_nonzero(keep))
+    if region is not None:
+        keep &= _inside(points, region)
+    indices = np.flatnonzero(keep)
+    if len(indices) < options.min_points:
+        where = "" if region is None else f" in the region ({describe_region(region)})"
+        raise MeasurementError(
+            f"Only {len(indices)} points{where} of {n_finite} in the cloud; at least {options.min_points} are needed. "
+            + ("Scan the part again." if region is None else "Enlarge the region.")
+        )
+    inside = points[indices]
+    rng = np.random.default_rng(options.seed)
+    raw = inside if len(inside) <= MAX_RAW else inside[rng.choice(len(inside), MAX_RAW, replace=False)]
+    whole = thin(raw, options.n_search)
+    table, on_table = _find_table(whole, rng)
+    eyes = None if viewpoints is None else viewpoints[indices]
+    if table is None:
+        part, table_cloud = whole, whole.select(on_table)
+    else:
+        distance = table.signed_distance_to(raw)
+        scale = mad_scale(table.signed_distance_to(whole.points[on_table]))
+        above = distance > max(6.0 * scale, 1e-3 * _extent(whole.points))
+        table_cloud = whole.select(on_table)
+        if np.count_nonzero(above) >= options.min_points:
+            part = thin(raw[above], options.n_search)
+        else:
+            # Nothing stands on it: then it is the part.
+            part, table, table_cloud = whole, None, whole.select(np.zeros(len(whole.points), dtype=bool))
+    gap = min(float(np.median(np.linalg.norm(np.diff(inside, axis=0), axis=1))), part.spacing)
+    return Scene(inside, eyes, indices, part, table, table_cloud, _extent(part.points), gap, options)
+
+
+def describe_region(region: Region) -> str:
+    """The limits of a region in words."""
+    names = ("x", "y", "z", "radius")
+    limits = (region.x, region.y, region.z, region.radius)
+    said = [
+        f"{name} {limit[0]:g} to {limit[1]:g} mm"
+        for name, limit in zip(names, limits, strict=True)
+        if limit is not None
+    ]
+    return ", ".join(said) if said else "no limits"
+
+
+def thin(points: Float[np.ndarray, "n 3"], n_target: int) -> SearchCloud:
+    """Keep one point a cell, with cells as small as even neighbourhoods and ``n_target`` allow; add local normals.
+
+    Points whose neighbours are unusually far away (strays) are left out.
+    """
+    size = _extent(points)
+    cell = size / 400.0
+    while True:
+        kept = points[_one_per_cell(points, cell)]
+        fine_enough = len(kept) <= n_target
+        if fine_enough or len(kept) < 300:
+            k = min(NEIGHBOURS, len(kept))
+            tree = cKDTree(kept)
+            far, near = tree.query(kept, k=k)
+            values, vectors = _local_axes(kept[near])
+            spread = float(np.median(values[:, 1] / np.maximum(values[:, 2], 1e-300)))
+            if spread > 0.3 or len(kept) < 600 or cell > size / 15.0:
+                break
+        cell *= 1.3
+    mean_gap = far[:, 1 : max(2, k // 2)].mean(axis=1)
+    company = mean_gap <= 3.0 * float(np.median(mean_gap))
+    roughness = float(np.sqrt(np.quantile(values[company, 0], 0.3)))
+    return SearchCloud(kept[company], vectors[company, :, 0], cell, roughness)
+
+
+def _one_per_cell(points: np.ndarray, cell: float) -> np.ndarray:
+    """Indices of one point in each occupied cell: the middle one in the order of the cloud."""
+    keys = cell_keys(points, points.min(axis=0), cell)
+    _, counts = np.unique(keys, return_counts=True)
+    order = np.argsort(keys, kind="stable")
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    return np.sort(order[starts + counts // 2])
+
+
+def cell_keys(points: Float[np.ndarray, "n 3"], origin: Float[np.ndarray, "3"], cell: float) -> Int[np.ndarray, " n"]:
+    """One integer a cell of a cubic grid; neighbours along x, y, z differ by 1, 2**20, 2**40."""
+    grid = np.clip(np.floor((points - origin) / cell), -(2**18), 2**19 - 1).astype(np.int64) + 2**18
+    return grid[:, 0] + (grid[:, 1] << 20) + (grid[:, 2] << 40)
+
+
+def _local_axes(neighbourhoods: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Principal variances (ascending) and axes (columns) of each neighbourhood (n, k, 3)."""
+    centred = neighbourhoods - neighbourhoods.mean(axis=1, keepdims=True)
+    scatter = np.einsum("nki,nkj->nij", centred, centred) / max(neighbourhoods.shape[1] - 3, 1)
+    values, vectors = np.linalg.eigh(scatter)
+    return np.maximum(values, 0.0), vectors
+
+
+def _extent(points: np.ndarray) -> float:
+    low, high = np.quantile(points, [0.01, 0.99], axis=0)
+    return max(float(np.linalg.norm(high - low)), 1e-12)
+
+
+def _reach(points: np.ndarray) -> float:
+    """Distance from the z axis that nearly all points keep within, mm."""
+    return float(np.quantile(np.hypot(points[:, 0], points[:, 1]), 0.98)) if len(points) else 0.0
+
+
+def _inside(points: np.ndarray, region: Region) -> np.ndarray:
+    values = (points[:, 0], points[:, 1], points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    limits = (region.x, region.y, region.z, region.radius)
+    keep = np.ones(len(points), dtype=bool)
+    for value, limit in zip(values, limits, strict=True):
+        if limit is not None:
+            with np.errstate(invalid="ignore"):
+                keep &= (value >= limit[0]) & (value <= limit[1])
+    return keep
+
+
+def _find_table(cloud: SearchCloud, rng: np.random.Generator) -> tuple[Plane | None, np.ndarray]:
+    """The table top: the lowest large plane at right angles to z, with hardly anything below it."""
+    none = (None, np.zeros(len(cloud.points), dtype=bool))
+    level = np.abs(cloud.normals[:, 2]) > np.cos(TABLE_TILT_RAD)
+    size = _extent(cloud.points)
+    threshold = min(max(4.0 * cloud.roughness, 0.002 * size), 0.01 * size)
+    best: tuple[float, Plane, np.ndarray] | None = None
+    remaining = level.copy()
+    for _ in range(4):
+        chosen = np.flatnonzero(remaining)
+        if len(chosen) < max(20, 0.05 * len(cloud.points)):
+            break
+        try:
+            plane, inliers = ransac_plane(
+                cloud.points[chosen], threshold, rng, cloud.normals[chosen], 2 * TABLE_TILT_RAD
+            )
+            for _ in range(3):
+                fit = fit_plane_orthogonal(cloud.points[chosen[inliers]])
+                plane = fit.plane if fit.plane.normal[2] > 0 else fit.plane.flipped()
+                inliers = np.abs(plane.signed_distance_to(cloud.points[chosen])) < threshold
+        except GeometryError:
+            break
+        remaining[chosen[inliers]] = False
+        height = plane.signed_distance_to(cloud.points)
+        above, below = cloud.points[height > 2 * threshold], np.count_nonzero(height < -2 * threshold)
+        enough = np.count_nonzero(inliers) >= max(20, 0.05 * len(cloud.points))
+        if not enough or plane.normal[2] < np.cos(TABLE_TILT_RAD) or below > 0.3 * len(cloud.points):
+            continue
+        # A scan puts z = 0 on the table; then the rim of the table and the bench may show below it.
+        at_zero = abs(plane.offset) < max(threshold, 0.5) and _reach(cloud.points[chosen[inliers]]) > _reach(above)
+        if at_zero:
+            return plane, (np.abs(height) < threshold) & level
+        middle = float(fit.centroid[2])
+        if below < 0.05 * len(cloud.points) and (best is None or middle < best[0]):
+            best = (middle, plane, np.abs(height) < threshold)
+    return none if best is None else (best[1], best[2] & level)
