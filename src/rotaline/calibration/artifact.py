@@ -17,26 +17,32 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.optimize import minimize
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rotaline.calibration.axis_minimisation import AxisMinimum, Method, axis_uncertainty, minimise_axis
 from rotaline.calibration.circle_centre import fit_circles_by_chords
 from rotaline.calibration.feature_circles import N_AXIS, CircleModel, circle_model
 from rotaline.calibration.model import ArtifactCalibration, ArtifactMount
-from rotaline.errors import CalibrationError
+from rotaline.errors import CalibrationError, GeometryError
 from rotaline.geometry.primitives import Line, SteppedCylinder, unit
-from rotaline.geometry.robust import CAUCHY, mad_scale
 from rotaline.geometry.transforms import base_from_axis, rotate_about_line
 
 MIN_FRAMES = 6
 """Fewest frames with feature points in a mount."""
 
 
+SENSE_ASSUMED = (
+    "The sense of rotation of the turntable was assumed: without a target on the turntable nothing shows it, and if it is wrong, "
+    "scans come out as mirror images. Add an axis capture, or set assumed_turn_sense."
+)
+"""Warning that belongs to :func:`find_axis_from_artifact`."""
+
+
 @dataclass(frozen=True)
 class ArtifactOptions:
     """How the rotation axis is optimised with the stepped cylinder."""
 
-    method: Literal["sqp", "least-squares"] = field(
+    method: Method = field(
         default="sqp",
         metadata={
             "help": "sqp: mean distance, as in the article; least-squares: robust squares of radial and axial distance"
@@ -52,6 +58,10 @@ class ArtifactOptions:
     )
     u_position_warning_mm: float = field(
         default=0.010, metadata={"help": "warn if the standard uncertainty of the axis position is larger, mm"}
+    )
+    assumed_turn_sense: Literal[1, -1] = field(
+        default=1,
+        metadata={"help": "without an axis capture: 1 if angle_deg grows counterclockwise seen from above, else -1"},
     )
 
 
@@ -111,18 +121,17 @@ def optimise_axis(
     start = np.concatenate(
         [np.zeros(N_AXIS), *(_coarse_pose(model, k, captures[k].name) for k in range(len(captures)))]
     )
-    unknowns, run = _solve(model, start, options)
-    keep = _inliers(model, unknowns, options.outlier_factor)
+    limits = (options.method, options.tolerance, options.max_iterations)
+    minimum = minimise_axis(model, start, *limits)
+    keep = _inliers(model, minimum.after, options.outlier_factor)
     if not keep.all():
         _check(_without(captures, model, keep))
-        start_kept = unknowns.copy()
-        start_kept[:N_AXIS] = 0.0
-        unknowns, run = _solve(model.select(keep), start_kept, options)
-        keep = _inliers(model, unknowns, options.outlier_factor)
-    before = run.start
+        start = np.concatenate([np.zeros(N_AXIS), minimum.after[N_AXIS:]])
+        minimum = minimise_axis(model.select(keep), start, *limits)
+    before, unknowns = minimum.before, minimum.after
 
     used = model.select(keep)
-    u_direction, u_position = _axis_uncertainty(used, unknowns, options.method)
+    u_direction, u_position = axis_uncertainty(used, unknowns, options.method)
     camera_from_base = base_from_camera.inv()
     axis_camera = _to_camera(model, unknowns, camera_from_base)
     axis_before_camera = _to_camera(model, before, camera_from_base)
@@ -147,25 +156,79 @@ def optimise_axis(
         axis_camera=axis_camera,
         axis_before_camera=axis_before_camera,
         mounts=mounts,
-        mean_distance_before_mm=run.history[0],
+        mean_distance_before_mm=used.mean_distance_with_slope(before)[0],
         mean_distance_mm=used.mean_distance_with_slope(unknowns)[0],
-        n_iterations=run.n_iterations,
-        converged=run.converged,
-        history_mm=np.array(run.history),
+        n_iterations=minimum.n_iterations,
+        converged=minimum.converged,
+        history_mm=minimum.history_mm,
         u_direction_rad=u_direction,
         u_position_mm=u_position,
-        warnings=_warnings(mounts, keep, run, u_position, options),
+        warnings=_warnings(mounts, keep, minimum, u_position, options),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """Course of one optimisation; ``start``: the unknowns with the start axis and the poses that suit it best."""
+def find_axis_from_artifact(
+    captures: Sequence[ArtifactCapture], artifact: SteppedCylinder, options: ArtifactOptions | None = None
+) -> tuple[Line, int]:
+    """A start axis from the feature points alone, for sessions without a target on the turntable.
 
-    start: Float[np.ndarray, " p"]
-    history: list[float]
-    n_iterations: int
-    converged: bool
+    All feature points lie in the laser plane. In it, the sides of the artefact point up, and the width of the step tells how far
+    from the outer edge the cylinder's axis passes; over the turn it swings about the rotation axis. How far the rotation axis lies
+    off the laser plane is tried out: the optimisation is run from several distances, and the best result is taken.
+
+    The sense of rotation cannot be found this way: the mirror image of rig and mounts in the laser plane, turning the other way,
+    has the same feature points. ``options.assumed_turn_sense`` is returned; see :data:`SENSE_ASSUMED`.
+
+    Returns
+    -------
+    axis_camera : Line   mm, direction up
+    turn_sense : int   the assumed one
+
+    Raises
+    ------
+    CalibrationError
+        If too few frames show all four feature points, or no start leads to an axis.
+    """
+    options = options or ArtifactOptions()
+    _check(captures)
+    features = np.concatenate([capture.features_camera for capture in captures])
+    whole = np.isfinite(features).all(axis=(1, 2))
+    if np.count_nonzero(whole) < MIN_FRAMES:
+        raise CalibrationError(
+            f"{np.count_nonzero(whole)} frames of the stepped cylinder show all four feature points; without a target on the "
+            f"turntable at least {MIN_FRAMES} are needed to find the rotation axis. Add frames, or an axis capture."
+        )
+    angles = np.concatenate([capture.angles_rad for capture in captures])[whole]
+    mount = np.repeat(np.arange(len(captures)), [len(capture.angles_rad) for capture in captures])[whole]
+    corners = features[whole]
+    normal = np.linalg.svd(corners.reshape(-1, 3) - corners.reshape(-1, 3).mean(axis=0), full_matrices=False)[2][2]
+    up = unit(np.median(corners[:, 0] - corners[:, 1] + corners[:, 2] - corners[:, 3], axis=0))
+    outward = unit(np.cross(up, normal) * np.sign(np.median((corners[:, 2] - corners[:, 1]) @ np.cross(up, normal))))
+
+    r1, r2 = artifact.diameter_small / 2, artifact.diameter_large / 2
+    width = np.maximum((corners[:, 2] - corners[:, 1]) @ outward, 0.5 * (r2 - r1))
+    half_chord = np.clip((r2**2 - r1**2 - width**2) / (2 * width), 0.0, r1)
+    position = corners[:, 1] @ outward - half_chord  # of the cylinder's axis
+    swing = np.column_stack([np.eye(len(captures))[mount] * f(angles)[:, None] for f in (np.cos, np.sin)])
+    centre = np.linalg.lstsq(np.column_stack([np.ones(len(angles)), swing]), position, rcond=1e-6)[0][0]
+    bottom = float(np.median(corners[:, 3] @ up))
+    in_plane = centre * outward + bottom * up + float(np.median(corners.reshape(-1, 3) @ normal)) * normal
+
+    sense = options.assumed_turn_sense
+    best: ArtifactCalibration | None = None
+    for offset in (0.0, 2.0, -2.0, 5.0, -5.0):
+        start = Line(in_plane + offset * normal, up)
+        try:
+            found = optimise_axis(start, sense, captures, artifact, replace(options, method="least-squares"))
+        except (CalibrationError, GeometryError):
+            continue
+        if best is None or found.mean_distance_mm < best.mean_distance_mm:
+            best = found
+    if best is None:
+        raise CalibrationError(
+            "The rotation axis was not found from the stepped cylinder alone. Add an axis capture: a board on the turntable."
+        )
+    return best.axis_camera, sense
 
 
 def _check(captures: Sequence[ArtifactCapture]) -> None:
@@ -244,98 +307,6 @@ def _coarse_pose(model: CircleModel, mount: int, name: str) -> Float[np.ndarray,
     return np.array([*bottom, *(direction[:2] / direction[2] * model.lever)])
 
 
-def _solve(
-    model: CircleModel, start: Float[np.ndarray, " p"], options: ArtifactOptions
-) -> tuple[Float[np.ndarray, " p"], _Run]:
-    """First the poses with the axis as it is, then axis and poses."""
-    if options.method == "sqp":
-        poses = _pose_of_least_mean_distance(model, start)
-        unknowns, history, converged = _minimise_mean_distance(model, poses, options)
-    else:
-        poses = _minimise_squares(model, start, options, free=slice(N_AXIS, None))[0]
-        unknowns, history, converged = _minimise_squares(model, poses, options, free=slice(0, None))
-    return unknowns, _Run(poses, history, len(history) - 1, converged)
-
-
-def _minimise_mean_distance(
-    model: CircleModel, start: Float[np.ndarray, " p"], options: ArtifactOptions
-) -> tuple[Float[np.ndarray, " p"], list[float], bool]:
-    """SQP on eq. (14) over the six changes of Pa and Pb; the cylinders' poses are fitted anew for each axis.
-
-    At the best poses the objective does not change with them to first order, so its gradient is the one at fixed poses.
-    """
-    poses = start
-
-    def objective(axis_changes: Float[np.ndarray, "6"]) -> tuple[float, Float[np.ndarray, "6"]]:
-        nonlocal poses
-        poses = _pose_of_least_mean_distance(model, np.concatenate([axis_changes, poses[N_AXIS:]]))
-        value, slope = model.mean_distance_with_slope(poses)
-        return value, slope[:N_AXIS]
-
-    history = [objective(start[:N_AXIS])[0]]
-    result = minimize(
-        objective,
-        start[:N_AXIS],
-        jac=True,
-        method="SLSQP",
-        callback=lambda intermediate_result: history.append(float(intermediate_result.fun)),
-        options={"ftol": options.tolerance, "maxiter": options.max_iterations},
-    )
-    # mode 8: no step lowers the objective any more, which is the end of what floating point allows at a kink
-    converged = bool(result.success) or (result.status == 8 and result.fun <= history[0])
-    return _pose_of_least_mean_distance(model, np.concatenate([result.x, poses[N_AXIS:]])), history, converged
-
-
-def _pose_of_least_mean_distance(model: CircleModel, unknowns: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
-    """Fine alignment: the poses that make the mean distance least while the axis stays.
-
-    Least squares with the weights 1 / distance, repeated until they settle (Weiszfeld's iteration).
-    """
-    best = unknowns.copy()
-    for _ in range(60):
-        residuals, slopes = model.residuals_with_slopes(best)
-        distance = np.linalg.norm(residuals, axis=1)
-        typical = float(np.median(distance))
-        root = np.repeat(1.0 / np.sqrt(np.maximum(distance, 1e-3 * typical + 1e-9)), 2)
-        system = slopes[:, :, N_AXIS:].reshape(root.size, -1) * root[:, None]
-        step = np.linalg.lstsq(system, -root * residuals.ravel(), rcond=None)[0]
-        best[N_AXIS:] += step
-        if np.abs(step).max() <= 1e-4 * typical + 1e-12:
-            break
-    return best
-
-
-def _minimise_squares(
-    model: CircleModel, start: Float[np.ndarray, " p"], options: ArtifactOptions, free: slice
-) -> tuple[Float[np.ndarray, " p"], list[float], bool]:
-    """Gauss-Newton on the radial and axial distances, with Cauchy weights on the scale of the residuals.
-
-    The weights come in when the plain squares have settled; each step solves the linear problem by orthogonal factorisation
-    and takes the shortest solution, which leaves the idle sliding of Pa and Pb at rest.
-    """
-    unknowns = start.copy()
-    history = [model.mean_distance_with_slope(unknowns)[0]]
-    scale = np.inf
-    for _ in range(options.max_iterations):
-        residuals, slopes = model.residuals_with_slopes(unknowns)
-        root = 1.0 / np.sqrt(1.0 + (residuals / scale) ** 2).ravel()
-        system = slopes.reshape(root.size, -1)[:, free] * root[:, None]
-        step = np.linalg.lstsq(system, -root * residuals.ravel(), rcond=1e-12)[0]
-        unknowns[free] += step
-        history.append(model.mean_distance_with_slope(unknowns)[0])
-        size = float(np.abs(step).max())
-        if np.isinf(scale) and size < 1e-3:
-            scale = _cauchy_scale(model.residuals(unknowns))
-        elif size < 1e-11:
-            return unknowns, history, True
-    return unknowns, history, False
-
-
-def _cauchy_scale(residuals: Float[np.ndarray, "n 2"]) -> float:
-    """Where the Cauchy weights fall to a half, mm; never so small that rounding errors count as residuals."""
-    return max(CAUCHY * mad_scale(residuals.ravel()), 1e-9)
-
-
 def _inliers(model: CircleModel, unknowns: Float[np.ndarray, " p"], factor: float) -> Bool[np.ndarray, " n"]:
     """Feature points whose distance is like that of the others (median over the same circle of the same mount)."""
     distance = np.linalg.norm(model.residuals(unknowns), axis=1)
@@ -362,41 +333,6 @@ def _without(
         features[rows] = capture.features_camera[rows]
         kept.append(replace(capture, features_camera=features))
     return tuple(kept)
-
-
-def _axis_uncertainty(model: CircleModel, unknowns: Float[np.ndarray, " p"], method: str) -> tuple[float, float]:
-    """Larger standard uncertainties of direction (rad) and of position at mid height (mm), from the residuals.
-
-    The sandwich of an M-estimator: slopes of the estimating equations outside, their scatter inside. The scatter is summed
-    frame by frame, because the four points of a frame share the error of its angle and of the table's run-out.
-    """
-    residuals, slopes = model.residuals_with_slopes(unknowns)
-    free = np.r_[0:2, 3:5, N_AXIS : model.n_unknowns]  # without the sliding of Pa and Pb along the axis
-    slopes = slopes[:, :, free]
-    if method == "sqp":
-        distance = np.linalg.norm(residuals, axis=1)
-        soft = np.sqrt(distance**2 + (0.1 * np.median(distance)) ** 2) + 1e-15
-        pull = residuals / soft[:, None]
-        stiffness = (np.eye(2) - pull[:, :, None] * pull[:, None, :]) / soft[:, None, None]
-    else:
-        scale = _cauchy_scale(residuals)
-        weight = 1.0 / (1.0 + (residuals / scale) ** 2)
-        pull = weight * residuals
-        stiffness = np.eye(2) * (weight**2 * (1 - (residuals / scale) ** 2))[:, :, None]
-    outside = np.einsum("nap,nab,nbq->pq", slopes, stiffness, slopes)
-    frames, index = np.unique(model.frame, return_inverse=True)
-    sums = np.zeros((len(frames), len(free)))
-    np.add.at(sums, index, np.einsum("nap,na->np", slopes, pull))
-    few = len(frames) / max(len(frames) - 1, 1) * residuals.size / max(residuals.size - len(free), 1)
-    inverse = np.linalg.pinv(outside, hermitian=True)
-    cov = (few * inverse @ (sums.T @ sums) @ inverse)[:4, :4]
-
-    middle = float(np.median(model.points[:, 2])) / model.lever
-    at_middle = np.hstack([np.eye(2) * (1 - middle), np.eye(2) * middle])
-    slope = np.hstack([-np.eye(2), np.eye(2)]) / model.lever
-    u_position = float(np.sqrt(max(np.linalg.eigvalsh(at_middle @ cov @ at_middle.T).max(), 0.0)))
-    u_direction = float(np.sqrt(max(np.linalg.eigvalsh(slope @ cov @ slope.T).max(), 0.0)))
-    return u_direction, u_position
 
 
 def _to_camera(model: CircleModel, unknowns: Float[np.ndarray, " p"], camera_from_base: RigidTransform) -> Line:
@@ -479,14 +415,14 @@ def _base_from_part(axis_start_base: Line, start_from_camera: RigidTransform, ax
 def _warnings(
     mounts: Sequence[ArtifactMount],
     keep: Bool[np.ndarray, " n"],
-    run: _Run,
+    minimum: AxisMinimum,
     u_position_mm: float,
     options: ArtifactOptions,
 ) -> tuple[str, ...]:
     warnings = []
-    if not run.converged:
+    if not minimum.converged:
         warnings.append(
-            f"The optimisation of the rotation axis stopped after {run.n_iterations} iterations without converging."
+            f"The optimisation of the rotation axis stopped after {minimum.n_iterations} iterations without converging."
         )
     left_out = int(np.count_nonzero(~keep))
     if left_out > 0.05 * len(keep):
