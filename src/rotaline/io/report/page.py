@@ -39,23 +39,25 @@ class Column:
 
 @dataclass(frozen=True)
 class Row:
-    """Cells as text; ``kind`` is ``plain``, ``dim`` (left out), ``total`` or ``failed``.
+    """Cells as text.
 
-    A failed row has a text instead of numbers: its last cell runs to the end of the row.
+    ``kind``: ``continued`` belongs to the row above, ``dim`` was left out, ``total`` sums up; a ``failed`` row has a text
+    instead of numbers: its last cell runs to the end of the row.
     """
 
     cells: tuple[str, ...]
-    kind: Literal["plain", "dim", "total", "failed"] = "plain"
+    kind: Literal["plain", "continued", "dim", "total", "failed"] = "plain"
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table with its caption; ``note`` stands below it."""
+    """A table with its caption; ``note`` stands below it; long narrow ones stand in several ``stacks`` side by side."""
 
     caption: str
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     note: str = ""
+    stacks: int = 1
     number: int = 0
 
 
@@ -90,6 +92,7 @@ class Section:
 
     anchor: str
     title: str
+    short_title: str
     judgement: str = ""
     level: Level = "none"
     warnings: tuple[StageWarning, ...] = ()
@@ -128,8 +131,11 @@ def picture(
     return Picture(source, caption, width)
 
 
-def numbered(sections: Sequence[Section]) -> tuple[Section, ...]:
-    """The sections with their figures and tables numbered in the order of the page."""
+def finished(sections: Sequence[Section]) -> tuple[Section, ...]:
+    """The sections with their figures and tables numbered in the order of the page.
+
+    A section with a serious warning is marked as poor, whatever its figures say.
+    """
     figures, tables = 0, 0
     out = []
     for section in sections:
@@ -146,5 +152,7 @@ def numbered(sections: Sequence[Section]) -> tuple[Section, ...]:
                 blocks.append(Gallery(tuple(pictures)))
             else:
                 blocks.append(block)
-        out.append(dataclasses.replace(section, blocks=tuple(blocks)))
+        serious = any(w.serious for w in section.warnings)
+        level: Level = "poor" if serious and section.judgement else section.level
+        out.append(dataclasses.replace(section, blocks=tuple(blocks), level=level))
     return tuple(out)

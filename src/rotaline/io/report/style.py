@@ -18,7 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from PIL import Image
 
 from rotaline.io.files import whole_file
@@ -56,7 +56,8 @@ def style_axes(ax: Axes, title: str = "", xlabel: str = "", ylabel: str = "", gr
     for side in ("left", "bottom"):
         ax.spines[side].set_color(GREY)
         ax.spines[side].set_linewidth(0.8)
-    ax.tick_params(labelsize=_TEXT - 0.5, colors=INK, color=GREY, length=3, width=0.8)
+    ax.tick_params(which="both", labelsize=_TEXT - 0.5, colors=INK, color=GREY, width=0.8)
+    ax.tick_params(which="major", length=3)
     ax.set_axisbelow(True)
     if grid:
         ax.grid(True, color="#e6eaee", linewidth=0.7)
@@ -77,6 +78,19 @@ def style_axes_3d(ax: Any, title: str, labels: tuple[str, str, str]) -> None:
         axis.labelpad = 1
     if title:
         ax.set_title(title, fontsize=_TEXT + 0.5, color=INK, loc="left", fontweight="bold")
+
+
+def log_axis(ax: Axes, values: Float[np.ndarray, " n"]) -> None:
+    """Make the upright axis logarithmic, with plain numbers, if the values are positive and span more than a factor of 3."""
+    finite = values[np.isfinite(values)]
+    if len(finite) == 0 or finite.min() <= 0.0 or finite.max() <= 3.0 * finite.min():
+        ax.set_ylim(bottom=0.0)
+        return
+    few_decades = finite.max() < 60.0 * finite.min()
+    ax.set_yscale("log")
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few_decades else (1.0,)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
 
 
 def equal_axes_3d(ax: Any, points: Float[np.ndarray, "n 3"], zoom: float = 1.0) -> None:
@@ -215,6 +229,9 @@ def _png(figure: Figure, dpi: float, palette: bool) -> bytes:
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3].copy())
     if palette:
         picture = picture.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        colours = np.array(picture.getpalette()).reshape(-1, 3)
+        colours[colours.min(axis=1) >= 249] = 255
+        picture.putpalette(colours.ravel().tolist())
     stream = io.BytesIO()
     picture.save(stream, format="PNG", optimize=False, compress_level=7)
     return stream.getvalue()

@@ -61,13 +61,13 @@ def _warnings_of_results(contents: ReportContents) -> Iterator[tuple[StageWarnin
     for entry in contents.measurements:
         place = f"{entry.capture}, {entry.name or entry.feature}"
         if entry.measurement is None:
-            yield StageWarning("measure", f"{place}: not measured. {entry.failure}", serious=True), entry.failure
+            yield StageWarning("measure", f"{place}: not measured: {entry.failure}", serious=True), entry.failure
             continue
         for text in entry.measurement.warnings:
             yield StageWarning("measure", f"{place}: {text}"), text
     for surface in contents.surfaces:
         if surface.failure:
-            yield StageWarning("surface", f"{surface.folder}: no surface. {surface.failure}"), surface.failure
+            yield StageWarning("surface", f"{surface.folder}: no surface: {surface.failure}"), surface.failure
 
 
 def warnings_of(stage: str, warnings: tuple[StageWarning, ...]) -> tuple[StageWarning, ...]:

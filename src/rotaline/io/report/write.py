@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from rotaline.io.files import whole_file
 from rotaline.io.report.contents import ReportContents, StageWarning
-from rotaline.io.report.page import Section, numbered
+from rotaline.io.report.page import Section, finished
 from rotaline.io.report.sections import artifact, axis, camera, laser_plane, parts, results, run, session
 from rotaline.io.report.warnings import collect_warnings, stage_title
 
@@ -50,7 +50,7 @@ def render_report(contents: ReportContents) -> str:
         serious=[w for w in warnings if w.serious],
         ordinary=[w for w in warnings if not w.serious],
         key_figures=results.key_figures(contents),
-        sections=numbered(_sections(contents, warnings)),
+        sections=finished(_sections(contents, warnings)),
     )
 
 

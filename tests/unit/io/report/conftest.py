@@ -49,7 +49,7 @@ def _board(columns: int, rows: int, pitch: float) -> np.ndarray:
 def _pose(rng: np.random.Generator, size: tuple[float, float], tilt: float = 0.45) -> RigidTransform:
     rotation = Rotation.from_rotvec(rng.uniform(-tilt, tilt, 3))
     middle = rotation.apply(np.array([size[0] / 2, size[1] / 2, 0.0]))
-    at = np.array([rng.uniform(-35, 35), rng.uniform(-25, 25), rng.uniform(260, 340)])
+    at = np.array([rng.uniform(-28, 28), rng.uniform(-18, 18), rng.uniform(260, 340)])
     return RigidTransform.from_components(at - middle, rotation)
 
 
@@ -88,7 +88,7 @@ def make_laser_plane(rng: np.random.Generator) -> LaserPlaneCalibration:
         normal = pose.rotation.apply([0.0, 0.0, 1.0])
         along = unit(np.cross(normal, PLANE.normal))
         start = board[110] - PLANE.signed_distance_to(board[110:111])[0] * PLANE.normal
-        points = start + np.linspace(-26, 26, 220)[:, None] * along
+        points = start + np.linspace(-24, 24, 220)[:, None] * along
         residuals = rng.normal(0, 0.012, len(points)) + rng.normal(0, 0.004)
         uv = CAMERA.project(points)
         used = i != 7
@@ -113,7 +113,7 @@ def make_cross_ratio(rng: np.random.Generator) -> CrossRatioResult:
     before = reference + rng.normal(0.008, 0.018, 80)
     after = reference + rng.normal(0, 0.0028, 80)
     return CrossRatioResult(
-        Plane(unit(PLANE.normal + [1e-4, 0, 2e-4]), PLANE.offset + 0.02),
+        Plane(unit(PLANE.normal + np.array([1e-4, 0.0, 2e-4])), PLANE.offset + 0.02),
         PLANE,
         True,
         "",
@@ -215,7 +215,7 @@ def make_artifact(rng: np.random.Generator) -> ArtifactCalibration:
     mounts = (make_mount(rng, "stepped-1", 0.4), make_mount(rng, "stepped-2", 5.1))
     before = float(np.mean([m.mean_distance_before_mm for m in mounts]))
     after = float(np.mean([m.mean_distance_mm for m in mounts]))
-    moved = Line(AXIS.point + [0.21, 0.0, -0.13], unit(AXIS.direction + [4e-4, 0.0, 6e-4]))
+    moved = Line(AXIS.point + np.array([0.21, 0.0, -0.13]), unit(AXIS.direction + np.array([4e-4, 0.0, 6e-4])))
     return ArtifactCalibration(
         "sqp", AXIS, moved, mounts, before, after, 22, True, np.geomspace(before, after, 23), 3.1e-5, 0.0013, ()
     )

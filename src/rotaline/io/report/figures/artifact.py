@@ -19,9 +19,8 @@ def convergence(calibration: ArtifactCalibration) -> Figure:
     ax = figure.add_subplot()
     history = calibration.history_mm * 1e3
     ax.plot(np.arange(len(history)), history, "o-", color=style.BLUE, markersize=3, lw=1.3)
-    if len(history) and np.nanmin(history) > 0 and np.nanmax(history) > 3 * np.nanmin(history):
-        ax.set_yscale("log")
     style.style_axes(ax, "", "iteration", "mean distance, eq. (14) [µm]")
+    style.log_axis(ax, history)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
 
@@ -48,7 +47,7 @@ def mean_distances(calibration: ArtifactCalibration) -> Figure:
 
 def feature_circles(mount: ArtifactMount, artifact: SteppedCylinder | None) -> Figure:
     """Top view of the four feature circles before and after, against the ideal ones, deviations exaggerated (figure 14a)."""
-    figure = style.new_figure(style.FULL_INCH, 3.2)
+    figure = style.new_figure(style.FULL_INCH, 2.95)
     axes = figure.subplots(1, 4)
     before = _in_part(mount.features_before_base, mount.base_from_part_before)
     after = _in_part(mount.features_base, mount.base_from_part)

@@ -18,7 +18,7 @@ def circles_3d(calibration: AxisCalibration) -> Figure:
     axis, corners, centres = calibration.axis_camera, calibration.corners_camera, calibration.circle_centres_camera
     known = np.flatnonzero(np.isfinite(centres).all(axis=1))
     shown = (
-        known[np.unique(np.linspace(0, len(known) - 1, min(len(known), 12)).round().astype(int))]
+        known[np.unique(np.linspace(0, len(known) - 1, min(len(known), 8)).round().astype(int))]
         if len(known)
         else known
     )
@@ -34,15 +34,15 @@ def circles_3d(calibration: AxisCalibration) -> Figure:
         ax.plot(*_plot(track), ".", color=style.BLUE, markersize=2.2, markeredgewidth=0)
         everything += [circle]
     c = centres[known]
-    ax.plot(*_plot(c), ".", color=style.VERMILION, markersize=3.0, markeredgewidth=0)
+    ax.plot(*_plot(c), ".", color=style.VERMILION, markersize=4.5, markeredgewidth=0)
     if len(known):
         s = heights[known]
         margin = 0.15 * max(float(s.max() - s.min()), 10.0)
         ends = axis.point + np.array([s.min() - margin, s.max() + margin])[:, None] * axis.direction
-        ax.plot(*_plot(ends), color=style.INK, lw=1.4)
+        ax.plot(*_plot(ends), color=style.INK, lw=0.9)
         everything += [ends]
     style.style_axes_3d(ax, "", ("x [mm]", "z, depth [mm]", "y [mm]"))
-    style.equal_axes_3d(ax, np.vstack([np.zeros((0, 3)), *everything])[:, [0, 2, 1]], zoom=0.95)
+    style.equal_axes_3d(ax, np.vstack([np.zeros((0, 3)), *everything])[:, [0, 2, 1]], zoom=0.88)
     ax.invert_zaxis()
     ax.view_init(elev=22, azim=-62)
     return figure
@@ -83,7 +83,8 @@ def single_circle(calibration: AxisCalibration) -> Figure:
     ax.plot(0, 0, "+", color=style.VERMILION, markersize=8, markeredgewidth=1.4, label="centre")
     ax.set_aspect("equal")
     style.style_axes(ax, "", "in the plane of the circle [mm]", "[mm]")
-    style.legend(ax, loc="center")
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     return figure
 
 

@@ -14,7 +14,8 @@ from rotaline.io.report.contents import FittedPoints
 from rotaline.io.report.raster import render_points, views_around
 from rotaline.metrology.model import FeatureMeasurement
 
-_MOST_POINTS = 12000
+_MOST_POINTS = 40000
+_MEANS_FROM = 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +27,14 @@ class _Chart:
     ylabel: str
     x: Float[np.ndarray, " n"]
     y: Float[np.ndarray, " n"]
-    equal: bool
+    equal: bool = False
+    surface: bool = True
 
 
 def fit(measurement: FeatureMeasurement, fitted: FittedPoints) -> Figure:
     """Points in space, a chart of the residuals that suits the feature, and their histogram."""
     figure = style.new_figure(style.FULL_INCH, 3.0)
-    ax_space, ax_chart, ax_histogram = figure.subplots(1, 3, width_ratios=(0.95, 1.25, 0.9))
+    ax_space, ax_chart, ax_histogram = figure.subplots(1, 3, width_ratios=(1.1, 1.3, 0.8))
     ok = np.isfinite(fitted.points_table).all(axis=1) & np.isfinite(fitted.residuals_mm)
     pick = np.flatnonzero(ok)[style.thinned(int(ok.sum()), _MOST_POINTS)]
     points, residuals = fitted.points_table[pick], fitted.residuals_mm[pick] * 1e3
@@ -43,24 +45,42 @@ def fit(measurement: FeatureMeasurement, fitted: FittedPoints) -> Figure:
     limit = style.symmetric_limit(residuals)
     mappable = ScalarMappable(Normalize(-limit, limit), style.DIVERGING)
     _space(ax_space, points, residuals, mappable)
-    chart = _chart(measurement, points)
+    style.colour_bar(figure, mappable, ax_space, "single points, outside + [µm]", shrink=0.7)
+    _draw_chart(figure, ax_chart, _chart(measurement, points), residuals, limit)
+    _histogram(ax_histogram, residuals, limit)
+    return figure
+
+
+def _draw_chart(figure: Figure, ax: Axes, chart: _Chart, residuals: Float[np.ndarray, " n"], limit: float) -> None:
+    """Means of cells where the chart is a surface and the points are many; else the points."""
+    style.style_axes(ax, chart.title, chart.xlabel, chart.ylabel)
+    if chart.equal:
+        ax.set_aspect("equal", adjustable="datalim")
+    if chart.surface and len(residuals) >= _MEANS_FROM:
+        columns = 72
+        rows = int(np.clip(len(residuals) / (8 * columns), 6, 36))
+        sums, x_edges, y_edges = np.histogram2d(chart.x, chart.y, bins=(columns, rows), weights=residuals)
+        counts, _, _ = np.histogram2d(chart.x, chart.y, bins=(x_edges, y_edges))
+        means = np.where(counts >= 3, sums / np.maximum(counts, 1), np.nan)
+        reach = style.symmetric_limit(means.ravel())
+        shown = ax.pcolormesh(
+            x_edges, y_edges, means.T, cmap=style.DIVERGING, vmin=-reach, vmax=reach, rasterized=True, linewidth=0
+        )
+        ax.grid(False)
+        style.colour_bar(figure, shown, ax, "means of cells [µm]")
+        return
     order = np.argsort(np.abs(residuals))
-    ax_chart.scatter(
+    size = float(np.clip(9000.0 / len(residuals), 1.2, 9.0))
+    ax.scatter(
         chart.x[order],
         chart.y[order],
         c=residuals[order],
-        s=float(np.clip(9000.0 / len(points), 1.2, 9.0)),
+        s=size,
         cmap=style.DIVERGING,
-        norm=mappable.norm,
+        vmin=-limit,
+        vmax=limit,
         linewidths=0,
-        rasterized=True,
     )
-    if chart.equal:
-        ax_chart.set_aspect("equal", adjustable="datalim")
-    style.style_axes(ax_chart, chart.title, chart.xlabel, chart.ylabel)
-    style.colour_bar(figure, mappable, ax_chart, "residual, outside + [µm]")
-    _histogram(ax_histogram, residuals, limit)
-    return figure
 
 
 def _space(
@@ -84,7 +104,7 @@ def _histogram(ax: Axes, residuals: Float[np.ndarray, " n"], limit: float) -> No
     for x in (-rms, rms):
         ax.axvline(x, color=style.VERMILION, lw=1.0)
     ax.axvline(float(np.mean(residuals)), color=style.INK, lw=1.0, ls="--")
-    style.style_axes(ax, "Residuals (red: ± RMS, dashed: mean)", "residual [µm]", "points")
+    style.style_axes(ax, "Distribution", "residual [µm]", "points")
 
 
 def _chart(measurement: FeatureMeasurement, points: Float[np.ndarray, "n 3"]) -> _Chart:
@@ -95,7 +115,7 @@ def _chart(measurement: FeatureMeasurement, points: Float[np.ndarray, "n 3"]) ->
             d = points - centre
             longitude = np.rad2deg(np.arctan2(d[:, 1], d[:, 0]))
             latitude = np.rad2deg(np.arcsin(np.clip(d[:, 2] / np.linalg.norm(d, axis=1), -1, 1)))
-            return _Chart("Residuals over the sphere", "longitude [deg]", "latitude [deg]", longitude, latitude, False)
+            return _Chart("Residuals over the sphere", "longitude [deg]", "latitude [deg]", longitude, latitude)
     if measurement.feature in ("cylinder", "stepped-cylinder"):
         point, direction = _vector(geometry, "axis_point"), _vector(geometry, "axis_direction")
         if point is not None and direction is not None:
@@ -107,7 +127,7 @@ def _chart(measurement: FeatureMeasurement, points: Float[np.ndarray, "n 3"]) ->
             u = u / np.linalg.norm(u)
             angle = np.rad2deg(np.arctan2((points - point) @ np.cross(direction, u), (points - point) @ u))
             return _Chart(
-                "Residuals, unrolled", "angle about the fitted axis [deg]", "along the axis [mm]", angle, along, False
+                "Residuals, unrolled", "angle about the fitted axis [deg]", "along the axis [mm]", angle, along
             )
     if measurement.feature in ("groove", "step"):
         along, up = _vector(geometry, "direction"), _vector(geometry, "normal")
@@ -123,12 +143,12 @@ def _chart(measurement: FeatureMeasurement, points: Float[np.ndarray, "n 3"]) ->
                 "along the normal [mm]",
                 (points - centre) @ run,
                 (points - centre) @ up,
-                False,
+                surface=False,
             )
     centre = points.mean(axis=0)
     _, _, axes = np.linalg.svd(points[style.thinned(len(points), 3000)] - centre, full_matrices=False)
     flat = (points - centre) @ axes[:2].T
-    return _Chart("Residuals, seen along the normal", "[mm]", "[mm]", flat[:, 0], flat[:, 1], True)
+    return _Chart("Residuals, seen along the normal", "[mm]", "[mm]", flat[:, 0], flat[:, 1], equal=True)
 
 
 def _vector(geometry: dict[str, float | list[float]], key: str) -> Float[np.ndarray, "3"] | None:

@@ -24,6 +24,7 @@ def section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Sec
         return Section(
             "artifact",
             title,
+            "Axis optimisation",
             warnings=mine,
             missing="The axis was not optimised, although there are artefact captures: see the warnings. The initial axis is final."
             if tried
@@ -51,7 +52,7 @@ def section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Sec
     for mount in calibration.mounts:
         blocks += _mount(mount, contents.artifacts.get(mount.name))
         blocks += overlay_blocks(contents, "artifact", mount.name)
-    return Section("artifact", title, judgement, level, mine, tuple(blocks))
+    return Section("artifact", title, "Axis optimisation", judgement, level, mine, tuple(blocks))
 
 
 def _judge(calibration: ArtifactCalibration) -> tuple[str, Level]:

@@ -19,6 +19,7 @@ def section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Sec
         return Section(
             "axis",
             "Initial rotation axis",
+            "Initial axis",
             warnings=mine,
             missing="No initial axis from a target on the turntable"
             + (": the axis was found from the artefact alone." if contents.artifact is not None else "."),
@@ -54,7 +55,7 @@ def section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Sec
         ),
         _frames(calibration),
     ]
-    return Section("axis", "Initial rotation axis", judgement, level, mine, tuple(blocks))
+    return Section("axis", "Initial rotation axis", "Initial axis", judgement, level, mine, tuple(blocks))
 
 
 def _used_angles_deg(calibration: AxisCalibration) -> np.ndarray:
@@ -136,4 +137,5 @@ def _frames(calibration: AxisCalibration) -> Table:
             )
             for f in calibration.frames
         ),
+        stacks=2 if len(calibration.frames) > 12 else 1,
     )

@@ -30,6 +30,7 @@ def section(calibration: CameraCalibration | None, warnings: tuple[StageWarning,
         return Section(
             "camera",
             "Camera",
+            "Camera",
             warnings=mine,
             missing="The camera was not calibrated: nothing that follows is possible.",
         )
@@ -74,7 +75,7 @@ def section(calibration: CameraCalibration | None, warnings: tuple[StageWarning,
         ),
         _views(calibration),
     ]
-    return Section("camera", "Camera", judgement, level, mine, tuple(blocks))
+    return Section("camera", "Camera", "Camera", judgement, level, mine, tuple(blocks))
 
 
 def _judge(calibration: CameraCalibration) -> tuple[str, Level]:

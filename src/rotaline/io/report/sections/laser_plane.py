@@ -19,11 +19,13 @@ def plane_section(contents: ReportContents, warnings: tuple[StageWarning, ...]) 
         return Section(
             "laser-plane",
             "Laser plane",
+            "Laser plane",
             warnings=mine,
             missing="The laser plane was not calibrated: no captures with the role laser-plane were usable.",
         )
     judgement, level = _judge_plane(calibration)
     plane = calibration.plane_camera
+    image_size = contents.camera.camera.image_size if contents.camera is not None else None
     blocks: list[Block] = [
         Table(
             "Laser plane fitted to all stripes, camera frame: normal · X + offset = 0.",
@@ -51,10 +53,22 @@ def plane_section(contents: ReportContents, warnings: tuple[StageWarning, ...]) 
                     "png",
                 ),
                 picture(
-                    lambda: figures.residuals(calibration),
-                    "Signed distances of the stripe points from the plane. Left: a mean away from zero is a wrong pose of that "
-                    "board. Right: a bend over the image is remaining lens distortion or a laser sheet that is not flat.",
-                    "full",
+                    lambda: figures.residuals_by_view(calibration),
+                    "Signed distances of the stripe points from the plane, along each stripe (bar: mean). A mean away from zero is a "
+                    "wrong pose of that board; a slope or a bend is an error of the pose or of the lens model.",
+                    "half",
+                    "png",
+                ),
+                picture(
+                    lambda: figures.residuals_over_image(calibration, image_size),
+                    "The same distances over the image. One colour in one part of the image is remaining lens distortion.",
+                    "half",
+                    "png",
+                ),
+                picture(
+                    lambda: figures.residuals_over_plane(calibration),
+                    "The same distances in the laser plane. A bend along it means that the laser sheet is not flat.",
+                    "half",
                     "png",
                 ),
             )
@@ -62,7 +76,7 @@ def plane_section(contents: ReportContents, warnings: tuple[StageWarning, ...]) 
         _views(calibration),
         *overlay_blocks(contents, "laser-plane"),
     ]
-    return Section("laser-plane", "Laser plane", judgement, level, mine, tuple(blocks))
+    return Section("laser-plane", "Laser plane", "Laser plane", judgement, level, mine, tuple(blocks))
 
 
 def cross_ratio_section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Section:
@@ -74,6 +88,7 @@ def cross_ratio_section(contents: ReportContents, warnings: tuple[StageWarning, 
         return Section(
             "cross-ratio",
             title,
+            "Cross-ratio",
             warnings=mine,
             missing="No optimisation by cross-ratio invariance: it needs a dot plate.",
         )
@@ -111,7 +126,7 @@ def cross_ratio_section(contents: ReportContents, warnings: tuple[StageWarning, 
             tuple(Row(r) for r in rows),
         ),
     )
-    return Section("cross-ratio", title, judgement, level, mine, blocks)
+    return Section("cross-ratio", title, "Cross-ratio", judgement, level, mine, blocks)
 
 
 def _judge_plane(calibration: LaserPlaneCalibration) -> tuple[str, Level]:

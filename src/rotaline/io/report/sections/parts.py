@@ -19,7 +19,7 @@ def scan_section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -
     mine = warnings_of("scan", warnings) + warnings_of("stripe", warnings)
     clouds = contents.clouds
     if not clouds:
-        return Section("scan", "Scans", warnings=mine, missing="Nothing was scanned.")
+        return Section("scan", "Scans", "Scans", warnings=mine, missing="Nothing was scanned.")
     judgement, level = _judge(clouds)
     blocks: list[Block] = [_clouds(clouds)]
     for scan in clouds:
@@ -29,7 +29,7 @@ def scan_section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -
         else:
             blocks.append(_cloud_pictures(scan))
         blocks += overlay_blocks(contents, "scan", scan.folder) + overlay_blocks(contents, "stripe", scan.folder)
-    return Section("scan", "Scans", judgement, level, mine, tuple(blocks))
+    return Section("scan", "Scans", "Scans", judgement, level, mine, tuple(blocks))
 
 
 def surface_section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Section:
@@ -37,7 +37,7 @@ def surface_section(contents: ReportContents, warnings: tuple[StageWarning, ...]
     mine = warnings_of("surface", warnings)
     surfaces = contents.surfaces
     if not surfaces:
-        return Section("surface", "Surfaces", warnings=mine, missing="No surfaces were reconstructed.")
+        return Section("surface", "Surfaces", "Surfaces", warnings=mine, missing="No surfaces were reconstructed.")
     made = [s for s in surfaces if not s.failure and len(s.triangles)]
     text = (
         f"{len(made)} of {numbers.plural(len(surfaces), 'surface')} reconstructed. A surface is for looking at and for comparison "
@@ -47,14 +47,16 @@ def surface_section(contents: ReportContents, warnings: tuple[StageWarning, ...]
     for surface in surfaces:
         blocks.append(Heading(surface.folder))
         blocks += _surface(surface)
-    return Section("surface", "Surfaces", text, "none" if len(made) == len(surfaces) else "fair", mine, tuple(blocks))
+    return Section(
+        "surface", "Surfaces", "Surfaces", text, "none" if len(made) == len(surfaces) else "fair", mine, tuple(blocks)
+    )
 
 
 def feature_section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Section:
     """The fits with their residuals."""
     entries = contents.measurements
     if not entries:
-        return Section("fits", "Feature fits", missing="No features were fitted.")
+        return Section("fits", "Feature fits", "Fits", missing="No features were fitted.")
     fitted = {(f.capture, f.feature, f.name): f for f in contents.fitted_points}
     blocks: list[Block] = []
     for entry in entries:
@@ -67,8 +69,8 @@ def feature_section(contents: ReportContents, warnings: tuple[StageWarning, ...]
             f" The residuals reach {numbers.um(worst)} µm RMS at most. Random residuals are noise; an orderly pattern is form, "
             "calibration, or a wrong surface among the points."
         )
-    level: Level = "none" if len(found) == len(entries) else "poor"
-    return Section("fits", "Feature fits", text, level, (), tuple(blocks))
+    level: Level = "none" if len(found) == len(entries) else "fair" if found else "poor"
+    return Section("fits", "Feature fits", "Fits", text, level, (), tuple(blocks))
 
 
 def _judge(clouds: tuple[CloudSummary, ...]) -> tuple[str, Level]:
@@ -205,9 +207,10 @@ def _fit(entry: MeasurementEntry, fitted: FittedPoints | None) -> list[Block]:
                 (
                     picture(
                         lambda: feature_figures.fit(m, fitted),
-                        f"{entry.capture}, {entry.feature}: residuals of the fit in colour, charted over the feature, and their "
-                        "distribution (values beyond the scale stand in the outermost bars). Stripes along one direction are the "
-                        "axis or the laser plane; a patch of one colour is form or a foreign surface.",
+                        f"{entry.capture}, {entry.feature}: residuals of single points, charted over the feature (where there are "
+                        "enough points as means of small cells, which show what the noise hides), and their distribution (red: ± RMS, "
+                        "dashed: mean; values beyond the scale stand in the outermost bars). Stripes along one direction are the axis or "
+                        "the laser plane; a patch of one colour is form or a foreign surface.",
                         "full",
                         "png",
                     ),
@@ -215,18 +218,15 @@ def _fit(entry: MeasurementEntry, fitted: FittedPoints | None) -> list[Block]:
             )
         )
     if m.geometry:
-        blocks.append(_geometry(m))
+        blocks.append(Paragraph(_geometry(m)))
     return blocks
 
 
-def _geometry(measurement: FeatureMeasurement) -> Table:
+def _geometry(measurement: FeatureMeasurement) -> str:
     def text(value: float | list[float]) -> str:
         if isinstance(value, list):
             return "(" + ", ".join(numbers.fixed(float(x), 4) for x in value) + ")"
         return numbers.fixed(float(value), 4)
 
-    return Table(
-        "Geometry of the fit, table frame, lengths in mm.",
-        (Column("Name", numeric=False), Column("Value")),
-        tuple(Row((key.replace("_", " "), text(value))) for key, value in measurement.geometry.items()),
-    )
+    parts = (f"{key.replace('_', ' ')} {text(value)}" for key, value in measurement.geometry.items())
+    return f"Geometry of the fit (table frame, lengths in mm): {', '.join(parts)}."

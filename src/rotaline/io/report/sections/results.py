@@ -27,6 +27,7 @@ def section(contents: ReportContents) -> Section:
         return Section(
             "results",
             "Measured features",
+            "Results",
             missing="Nothing was to be measured: the session names no [[measurements]] and has no artefact captures.",
         )
     n_failed = sum(e.measurement is None for e in entries)
@@ -37,7 +38,13 @@ def section(contents: ReportContents) -> Section:
         blocks.append(Paragraph(_comparison_text(contents)))
         blocks += comparisons
     return Section(
-        "results", "Measured features", judgement, level, warnings_of("measure", contents.warnings), tuple(blocks)
+        "results",
+        "Measured features",
+        "Results",
+        judgement,
+        level,
+        warnings_of("measure", contents.warnings),
+        tuple(blocks),
     )
 
 
@@ -100,8 +107,9 @@ def key_figures(contents: ReportContents) -> tuple[KeyFigure, ...]:
 
 
 def quantity(key: str) -> str:
-    """How a key of a measurement is called: ``diameter_small`` -> ``diameter, small``."""
-    return key.replace("_", ", ", 1).replace("_", " ")
+    """How a key of a measurement is called: ``diameter_small`` -> ``diameter (small)``."""
+    name, _, which = key.partition("_")
+    return f"{name} ({which.replace('_', ' ')})" if which else name
 
 
 def _errors(entries: tuple[MeasurementEntry, ...]) -> list[float]:
@@ -120,7 +128,7 @@ def _judge(contents: ReportContents, n_failed: int) -> tuple[str, Level]:
         )
     else:
         text += " No reference values were given, so nothing here says how true the values are."
-    return text, "poor" if n_failed else "none"
+    return text, "poor" if n_failed == n else "fair" if n_failed else "none"
 
 
 def _summary(entries: tuple[MeasurementEntry, ...]) -> Table:
@@ -143,13 +151,14 @@ def _summary(entries: tuple[MeasurementEntry, ...]) -> Table:
         label = f"{entry.feature} – {name}" if name else entry.feature
         m = entry.measurement
         if m is None:
-            rows.append(Row((entry.capture, label, f"not measured. {entry.failure}"), "failed"))
+            rows.append(Row((entry.capture, label, f"not measured: {entry.failure}"), "failed"))
             continue
         for i, (key, value) in enumerate(m.value.items()):
-            head = (entry.capture, label) if i == 0 else ("", "")
+            first = i == 0
+            head = (entry.capture, label) if first else ("", "")
             tail = (
                 (numbers.mm(m.rms), numbers.mm(m.form_error), numbers.percent(m.coverage, 0), numbers.count(m.n_points))
-                if i == 0
+                if first
                 else ("", "", "", "")
             )
             rows.append(
@@ -162,7 +171,8 @@ def _summary(entries: tuple[MeasurementEntry, ...]) -> Table:
                         numbers.mm(entry.reference.get(key)),
                         numbers.mm(entry.error.get(key), signed=True),
                         *tail,
-                    )
+                    ),
+                    "plain" if first else "continued",
                 )
             )
     return Table(
@@ -222,7 +232,8 @@ def _comparison(kind: str, by_key: dict[str, list[tuple[MeasurementEntry, float 
                         numbers.mm(error, signed=True),
                         numbers.percent(abs(error) / abs(reference) if reference else None, 4),
                         numbers.percent(_reduction(error_before, error), 2),
-                    )
+                    ),
+                    "plain" if i == 0 else "continued",
                 )
             )
         if len(pairs) > 1:

@@ -40,4 +40,4 @@ def section(run: RunInfo) -> Section:
             (*(Row((name, version)) for name, version in run.versions.items()), Row(("machine", run.machine))),
         )
     )
-    return Section("run", "Options, times and versions", blocks=tuple(blocks))
+    return Section("run", "Options, times and versions", "Run", blocks=tuple(blocks))

@@ -52,7 +52,7 @@ def section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Sec
     text = f"{numbers.plural(len(contents.captures), 'capture')} with {numbers.plural(n_frames, 'frame')}."
     if contents.calibration is None:
         text += " The calibration is not complete, so there is no picture of the rig."
-    return Section("rig", "Session and rig", text, "none", warnings_of("session", warnings), tuple(blocks))
+    return Section("rig", "Session and rig", "Rig", text, "none", warnings_of("session", warnings), tuple(blocks))
 
 
 def _rig(contents: ReportContents) -> list[Block]:

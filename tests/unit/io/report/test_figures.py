@@ -1,0 +1,78 @@
+"""What the figures compute before they draw."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rotaline.io.report.figures import artifact, axis, camera, features, laser_plane, scan
+
+
+def test_the_outline_of_a_board_holds_its_points(full_contents):
+    calibration = full_contents.camera
+    for view in calibration.views:
+        outline = camera.board_outline(calibration.camera, view)
+        board = view.camera_from_board.inv().apply(outline)
+        np.testing.assert_allclose(board[:, 2], 0.0, atol=1e-9)
+        np.testing.assert_allclose(board[:, :2], [[0, 0], [68, 0], [68, 60], [0, 60]], atol=0.5)
+
+
+def test_the_patch_of_the_laser_plane_lies_in_it_and_holds_the_stripes(full_contents):
+    calibration = full_contents.laser_plane
+    points = np.vstack([v.points_camera for v in calibration.views])
+    patch = laser_plane.plane_patch(calibration.plane_camera, points)
+    np.testing.assert_allclose(calibration.plane_camera.signed_distance_to(patch), 0.0, atol=1e-9)
+    edges = np.roll(patch, -1, axis=0) - patch
+    assert edges[0] @ edges[1] == pytest.approx(0.0, abs=1e-6)
+    for corner, edge in zip(patch, edges, strict=True):
+        along = (points - corner) @ edge / (edge @ edge)
+        assert along.min() > -0.01
+        assert along.max() < 1.01
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_the_board_angles_follow_the_table_in_either_sense(full_contents, sense):
+    calibration = full_contents.axis
+    frames = tuple(dataclasses.replace(f, angle_rad=sense * f.angle_rad) for f in calibration.frames)
+    turned = dataclasses.replace(calibration, frames=frames, turn_sense=sense)
+    angles, residuals = axis.board_angle_residuals(turned)
+    assert len(angles) == 20  # one frame was left out
+    assert np.abs(residuals).max() < 6e-4  # the poses carry 1e-4 rad of noise
+    disturbed = list(frames)
+    disturbed[10] = dataclasses.replace(frames[10], angle_rad=frames[10].angle_rad + 0.01)
+    _, residuals = axis.board_angle_residuals(dataclasses.replace(turned, frames=tuple(disturbed)))
+    assert np.abs(residuals).max() == pytest.approx(0.01, abs=6e-4)
+
+
+def test_ideal_circles_come_from_the_artefact_or_else_from_the_points(full_contents):
+    mount = full_contents.artifact.mounts[1]
+    with_sizes = artifact.feature_circles(mount, full_contents.artifacts["stepped-2"])
+    without = artifact.feature_circles(mount, None)
+    for figure in (with_sizes, without):
+        radii = [np.hypot(*ax.lines[0].get_data()).max() for ax in figure.axes]
+        np.testing.assert_allclose(radii, [11.5255, 11.5255, 18.003, 18.003], atol=0.01)
+
+
+def test_counts_of_a_thinned_cloud_are_scaled_up(full_contents):
+    summary = full_contents.clouds[0]
+    (ax,) = scan.points_by_frame(summary.cloud, summary.n_points).axes
+    assert ax.lines[0].get_ydata().sum() == pytest.approx(summary.n_points)
+
+
+@pytest.mark.parametrize("name", ["sphere", "cylinder", "groove", "stepped-cylinder"])
+def test_fits_are_charted_in_their_own_coordinates(full_contents, name):
+    fitted = next(f for f in full_contents.fitted_points if f.feature == name)
+    entry = next(e for e in full_contents.measurements if e.feature == name)
+    figure = features.fit(entry.measurement, fitted)
+    labels = {ax.get_xlabel() for ax in figure.axes}
+    expected = {"sphere": "longitude [deg]", "groove": "across the feature [mm]"}.get(
+        name, "angle about the fitted axis [deg]"
+    )
+    assert expected in labels
+
+
+def test_a_fit_without_geometry_is_still_drawn(full_contents):
+    fitted = next(f for f in full_contents.fitted_points if f.feature == "sphere")
+    entry = next(e for e in full_contents.measurements if e.feature == "sphere")
+    bare = dataclasses.replace(entry.measurement, geometry={"centre": [float("nan"), 0.0, 0.0]})
+    assert "Residuals, seen along the normal" in {ax.get_title(loc="left") for ax in features.fit(bare, fitted).axes}
