@@ -69,8 +69,10 @@ CalibrationOption = Annotated[
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code, never a stack trace for what a user can mend."""
+    logging.getLogger("rotaline").addHandler(logging.NullHandler())
     try:
-        app(args=argv, standalone_mode=False)
+        code = app(args=argv, standalone_mode=False)
+        return code if isinstance(code, int) else OK
     except (typer.Exit, SystemExit) as done:
         code = getattr(done, "exit_code", getattr(done, "code", 0))
         return int(code or 0)
@@ -98,14 +100,14 @@ def main(argv: list[str] | None = None) -> int:
             "with the results folder's log.txt.",
             INCOMPLETE,
         )
-    return OK
+    finally:
+        _close_log()
 
 
 def _fail(message: str, code: int) -> int:
     lines = message.splitlines() or [""]
     print("\n".join(["rotaline: " + lines[0], *("          " + line for line in lines[1:])]), file=sys.stderr)
     logging.getLogger("rotaline").error("%s", message)
-    _close_log()
     return code
 
 

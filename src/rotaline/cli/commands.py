@@ -24,7 +24,7 @@ from rotaline.cli.app import (
     Verbose,
     app,
 )
-from rotaline.cli.options_help import OPTIONS_HINT
+from rotaline.cli.options_help import StageCommand
 from rotaline.errors import MeasurementError, OutputError, SessionError
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def check(session: Session, as_json: Json = False) -> None:
         raise typer.Exit(INCOMPLETE)
 
 
-@app.command(epilog=OPTIONS_HINT)
+@app.command(cls=StageCommand)
 def run(
     session: Session,
     out: Out = None,
@@ -97,7 +97,7 @@ def run(
     _finish(job.everything(given), as_json)
 
 
-@app.command(epilog=OPTIONS_HINT)
+@app.command(cls=StageCommand)
 def calibrate(
     session: Session,
     out: Out = None,
@@ -121,7 +121,7 @@ def calibrate(
     _exit_by_warnings(job)
 
 
-@app.command(epilog=OPTIONS_HINT)
+@app.command(cls=StageCommand)
 def scan(
     session: Session,
     captures: Annotated[
@@ -151,7 +151,7 @@ def scan(
     _exit_by_warnings(job)
 
 
-@app.command(epilog=OPTIONS_HINT)
+@app.command(cls=StageCommand)
 def measure(
     source: Annotated[
         Path, typer.Argument(metavar="SESSION|CLOUD", help="A session, or a cloud (PLY, OBJ, STL, XYZ; mm).")
@@ -244,7 +244,7 @@ def demo(
     if not (folder / "session.toml").is_file():
         observer.stage(f"Rendering a small session into {folder}", stored=False)
         plan = demo_plan()
-        with observer.work("frames", plan.n_frames) as count:
+        with observer.work("frames", sum(len(c.shots) for c in plan.captures)) as count:
             write_session(folder, demo_rig(), plan, progress=count)
     else:
         observer.stage(f"Session in {folder}", stored=True)

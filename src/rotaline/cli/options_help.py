@@ -1,17 +1,30 @@
 """The command that prints all options of all stages."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from rotaline.cli.app import app
 
-OPTIONS_HINT = (
-    "Options of the stages (targets, camera, stripe, laser_plane, cross_ratio, axis, artifact, scan, measure, surface) are given "
-    "with --option STAGE.NAME=VALUE or in a TOML file with --options FILE. `rotaline options` lists all of them with their "
-    "defaults and meaning, in the form of that file."
-)
+
+class StageCommand(TyperCommand):
+    """A command whose help ends with every option of every stage."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the options of the stages; they are read only when the help is asked for."""
+        from rotaline.pipeline.options import option_entries
+
+        with formatter.section("Options of the stages"):
+            formatter.write_text(
+                "Given with --option STAGE.NAME=VALUE, or in a TOML file with --options FILE; `rotaline options` prints that file."
+            )
+            formatter.write_paragraph()
+            formatter.write_dl(
+                [(f"{e.stage}.{e.name}", f"{e.help} ({e.kind}; default: {e.default})") for e in option_entries()],
+                col_max=34,
+            )
 
 
 @app.command("options")

@@ -21,7 +21,7 @@ from rotaline.io.files import whole_file
 _PACKAGE = "rotaline."
 
 
-def write_record(path: Path, value: Any) -> None:
+def write_record(path: Path, value: Any, compressed: bool = False) -> None:
     """Write a value so that :func:`read_record` gives it back.
 
     Raises
@@ -33,7 +33,8 @@ def write_record(path: Path, value: Any) -> None:
     arrays: dict[str, np.ndarray] = {}
     tree = json.dumps(_encode(value, arrays))
     with whole_file(path) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, tree=np.array(tree), **arrays)
+        save = np.savez_compressed if compressed else np.savez
+        save(stream, allow_pickle=False, tree=np.array(tree), **arrays)
 
 
 def read_record(path: Path) -> Any:
@@ -45,9 +46,19 @@ def read_record(path: Path) -> Any:
         If the file is missing, damaged or from another version of the program.
     """
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             return _decode(json.loads(str(arrays["tree"])), arrays)
-    except (OSError, KeyError, ValueError, TypeError, AttributeError, ImportError, EOFError, struct.error, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        KeyError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        ImportError,
+        EOFError,
+        struct.error,
+        zipfile.BadZipFile,
+    ) as error:
         raise SessionError(
             f"{path}: this stored result cannot be read ({error}). Start `rotaline run` again; it is made anew."
         ) from error

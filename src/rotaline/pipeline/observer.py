@@ -3,11 +3,12 @@
 import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 LOG = logging.getLogger("rotaline")
 
 
+@runtime_checkable
 class Observer(Protocol):
     """Listens to a run."""
 

@@ -15,7 +15,7 @@ from rotaline.io.clouds import write_cloud, write_mesh
 from rotaline.io.files import write_json
 from rotaline.io.records import read_record, write_record
 from rotaline.io.report.contents import STAGES, CloudSummary, ReportContents, StageWarning, SurfaceSummary
-from rotaline.io.report.page import write_report
+from rotaline.io.report.write import write_report
 from rotaline.io.results import MeasurementEntry
 from rotaline.io.session import Capture, Session
 from rotaline.io.session_file import MeasurementRequest
@@ -244,7 +244,7 @@ class Run:
             fitted_points(entries, clouds),
             frame_overlays(self._session, self._store, self._options, self._observer),
         )
-        write_record(self._folder / "stages" / REPORT_RECORD, contents)
+        write_record(self._folder / "stages" / REPORT_RECORD, contents, compressed=True)
         write_report(contents, self._folder / "report.html")
 
     @property

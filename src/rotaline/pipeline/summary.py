@@ -30,7 +30,7 @@ from rotaline.pipeline.store import StageStore
 from rotaline.scanning.cloud import PointCloud
 from rotaline.vision.images import read_image, small_picture
 
-MAX_DRAWN = 200_000
+MAX_DRAWN = 100_000
 """Points of a cloud that a picture needs at the most."""
 PICTURE_WIDTH = 640
 
@@ -151,7 +151,7 @@ def report_contents(
         measurements=entries,
         measurements_initial_axis=initial_entries,
         overlays=overlays,
-        fitted=fitted,
+        fitted_points=fitted,
         artifacts={c.folder: c.target for c in session.captures if isinstance(c.target, SteppedCylinder)},
     )
 

@@ -35,7 +35,7 @@ class ConsoleObserver:
     @contextmanager
     def work(self, label: str, total: int) -> Iterator[Callable[[], None]]:
         """Show a progress bar while the work lasts."""
-        if self._verbosity < 1:
+        if self._verbosity < 1 or not self._console.is_terminal:
             yield lambda: None
             return
         bar = Progress(
