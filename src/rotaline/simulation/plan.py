@@ -98,10 +98,11 @@ def table_disc(rig: Rig) -> Placed:
     return Placed(Rod(2 * rig.table_radius_mm, 8.0, -8.0, 0.35), RigidTransform.identity())
 
 
-def _in_view(rig: Rig, plate: Plate, camera_from_board: RigidTransform, margin_px: float = 6.0) -> bool:
+def _in_view(rig: Rig, plate: Plate, camera_from_board: RigidTransform) -> bool:
     x0, x1, y0, y1 = plate.extent
     corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
     uv = rig.camera.project(camera_from_board.apply(corners))
+    margin_px = 0.013 * min(rig.camera.image_size)
     limit = np.array(rig.camera.image_size) - 1 - margin_px
     return bool(np.all(uv > margin_px) and np.all(uv < limit))
 
@@ -118,13 +119,13 @@ def _board_at(centre: np.ndarray, rotation: Rotation, plate: Plate) -> RigidTran
 
 
 def _poses_that_fit(
-    n: int, draw: Callable[[], RigidTransform], fits: Callable[[RigidTransform], bool], what: str
+    n: int, draw: Callable[[int], RigidTransform], fits: Callable[[RigidTransform], bool], what: str
 ) -> list[RigidTransform]:
     poses: list[RigidTransform] = []
     for _ in range(_ATTEMPTS):
         if len(poses) == n:
             break
-        pose = draw()
+        pose = draw(len(poses))
         if fits(pose):
             poses.append(pose)
     if len(poses) < n:
@@ -133,17 +134,19 @@ def _poses_that_fit(
 
 
 def camera_capture(rig: Rig, target: Target, name: str, n_views: int, seed: int, folder: str = "camera") -> CapturePlan:
-    """Views of a target all over the image, tilted up to 40 deg towards all sides, wholly in view."""
+    """Views of a target in the corners and the middle of the image, tilted up to 42 deg to all sides, wholly in view."""
     rng = np.random.default_rng([seed, 1])
     plate = Plate(target)
     depth = float(np.linalg.norm(rig.camera_from_base.translation))
+    corners = ((-1, -1), (1, 1), (-1, 1), (1, -1), (0, 0))
     half_view = np.array(rig.camera.image_size) / 2 / rig.camera.fx * depth
 
-    def draw() -> RigidTransform:
-        towards, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(12, 40))
+    def draw(index: int) -> RigidTransform:
+        towards, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(20, 42))
         tilted = Rotation.from_rotvec(tilt * np.array([np.cos(towards), np.sin(towards), 0.0]))
         rotation = tilted * Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
-        centre = np.array([*(rng.uniform(-0.5, 0.5, 2) * half_view), depth * rng.uniform(0.92, 1.1)])
+        corner = np.array(corners[index % len(corners)]) * rng.uniform(0.3, 0.7, 2)
+        centre = np.array([*(corner * half_view), depth * rng.uniform(0.92, 1.1)])
         return _board_at(centre, rotation, plate)
 
     poses = _poses_that_fit(n_views, draw, lambda pose: _in_view(rig, plate, pose), "target")
@@ -170,7 +173,7 @@ def laser_capture(
     across = unit(np.cross(along, rig.laser.plane_base.normal))
     on = rig.ambient_laser_dn if ambient_laser_dn is None else ambient_laser_dn
 
-    def draw() -> RigidTransform:
+    def draw(_: int) -> RigidTransform:
         foot = -rig.laser.plane_base.offset * rig.laser.plane_base.normal
         centre = foot + rng.uniform(-24, 24) * along + rng.uniform(2, 36) * across
         front = unit(unit(camera_base - centre) + 0.7 * unit(rig.laser.position_base - centre))
@@ -270,7 +273,7 @@ def demo_plan(rig: Rig | None = None, seed: int = 1) -> SessionPlan:
     rig = demo_rig() if rig is None else rig
     turn = full_turn(40)
     captures = [
-        camera_capture(rig, CHECKERBOARD, "checkerboard", 14, seed),
+        camera_capture(rig, CHECKERBOARD, "checkerboard", 18, seed),
         laser_capture(rig, DOTS, "dots", 8, seed),
         axis_capture(rig, CHECKERBOARD, "checkerboard", tuple(4.0 * i for i in range(11))),
         _stepped(rig, "stepped-1", mount(0.3, 0.4, tilt_deg=0.02), turn),
