@@ -59,13 +59,16 @@ def fit_circles_by_chords(positions: Float[np.ndarray, "f m 3"]) -> CircleFits:
     >>> fit_circles_by_chords(circle).centres.round(9) + 0.0
     array([[5., 0., 7.]])
     """
+    if len(positions) < 3:
+        nan = np.full(positions.shape[1:], np.nan)
+        return CircleFits(nan, nan, nan[:, 0], nan[:, 0])
     seen = np.isfinite(positions).all(axis=2)
     n_seen = seen.sum(axis=0)
     enough = n_seen >= 3
     mean = np.where(seen[..., None], positions, 0.0).sum(axis=0) / np.maximum(n_seen, 1)[:, None]
     local = np.where(seen[..., None], positions - mean, 0.0)  # missing positions are rows of zeros: they say nothing
 
-    _, _, right = np.linalg.svd(local.transpose(1, 0, 2), full_matrices=True)
+    _, _, right = np.linalg.svd(local.transpose(1, 0, 2), full_matrices=False)
     normals = right[:, 2, :]
     normals = normals * np.where(normals @ normals[int(np.argmax(enough))] < 0, -1.0, 1.0)[:, None]
 

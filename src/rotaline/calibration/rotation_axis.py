@@ -24,7 +24,8 @@ from rotaline.calibration.turntable_motion import TurntableMotion, find_turntabl
 from rotaline.errors import CalibrationError, GeometryError
 from rotaline.geometry.primitives import Line
 from rotaline.vision.camera import CameraModel
-from rotaline.vision.targets.model import CharucoBoard, Target, TargetDetection
+from rotaline.vision.targets.model import Target, TargetDetection
+from rotaline.vision.targets.ordering import symmetry_permutations
 
 MIN_FRAMES = 3
 """Three positions make a circle."""
@@ -185,21 +186,14 @@ def _settle_order(frames: Sequence[_Frame]) -> tuple[list[_Frame], TurntableMoti
 
 
 def _orders(frame: _Frame) -> list[tuple[Int[np.ndarray, " n"], RigidTransform]]:
-    """The orders in which the points may stand: as read, and after the turns that leave the grid as it looks."""
-    columns, rows = frame.target.grid_size
-    if isinstance(frame.target, CharucoBoard):
-        turns: tuple[int, ...] = (0,)
-    else:
-        turns = (0, 1, 2, 3) if columns == rows else (0, 2)
+    """The orders in which the points may stand: as read, and after the turns that leave the target as it looks."""
     points = frame.target.points_board()
     middle = points.mean(axis=0)
     orders = []
-    for quarter_turns in turns:
-        turn = Rotation.from_euler("z", 90.0 * quarter_turns, degrees=True)
+    for numbers in symmetry_permutations(frame.target):
+        turn, _ = Rotation.align_vectors(points - middle, points[numbers] - middle)
         old_from_new = RigidTransform.from_components(middle - turn.apply(middle), turn)
-        moved = old_from_new.inv().apply(points[frame.point_ids]) / frame.target.pitch
-        column, row = np.rint(moved[:, :2]).astype(int).T
-        orders.append((np.sort(row * columns + column), frame.camera_from_board * old_from_new))
+        orders.append((np.sort(numbers[frame.point_ids]), frame.camera_from_board * old_from_new))
     return orders
 
 
