@@ -1,17 +1,14 @@
 """Robust estimation: scales and weights, and random sampling of lines, planes, spheres and cylinders.
 
-Every sampled model is scored by the residuals of that very model (MSAC: squared distances, cut at the threshold) [1]_.
-Hypotheses are made and scored in blocks; a large cloud is scored on a random part of it, the inliers are those of the whole.
+Every sampled model is scored by the residuals of that very model (``sampling``).
 All functions take a ``numpy.random.Generator`` and give the same answer for the same seed.
 
 References
 ----------
-.. [1] Torr and Zisserman, MLESAC, Computer Vision and Image Understanding 78 (2000) 138
+.. [1] Schnabel, Wahl and Klein, Efficient RANSAC for point-cloud shape detection, Computer Graphics Forum 26 (2007) 214
 .. [2] Rousseeuw and Leroy, Robust Regression and Outlier Detection, 1987
-.. [3] Schnabel, Wahl and Klein, Efficient RANSAC for point-cloud shape detection, Computer Graphics Forum 26 (2007) 214
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,15 +17,17 @@ from jaxtyping import Bool, Float
 from rotaline.errors import GeometryError
 from rotaline.geometry.fitting import Line2DFit, PlaneFit, fit_line_2d, fit_plane_orthogonal
 from rotaline.geometry.primitives import Cylinder, Line, Plane, Sphere
+from rotaline.geometry.sampling import (
+    BLOCK,
+    MAX_HYPOTHESES,
+    index_tuples,
+    require_points,
+    sample_consensus,
+    some_indices,
+)
 
 CAUCHY = 2.3849
 """Tuning constant of the Cauchy weights: 95 % efficiency under Gaussian noise."""
-
-CONFIDENCE = 0.999
-MAX_HYPOTHESES = 4096
-BLOCK = 128
-MAX_SCORED = 4000
-FIRST_SCORED = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +83,10 @@ def fit_plane_robust(
         If fewer than three points lie on one plane, or those that do lie on a line.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    _require(points, 3, "plane")
+    require_points(points, 3, "plane")
     if threshold is None:
-        scored = _some(len(points), rng)
-        planes = _planes_through(points[_samples(len(points), 3, 500, rng)])
+        scored = some_indices(len(points), rng)
+        planes = _planes_through(points[index_tuples(len(points), 3, 500, rng)])
         distances = np.abs(_plane_residuals(planes, points[scored]))
         medians = np.median(np.where(np.isfinite(distances), distances, np.inf), axis=1)
         best = planes[int(np.argmin(medians))]
@@ -135,7 +134,7 @@ def ransac_line_2d(
     GeometryError
         If no line has that many inliers.
     """
-    _require(points, 2, "line")
+    require_points(points, 2, "line")
 
     def propose(samples: np.ndarray) -> np.ndarray:
         a, b = points[samples[:, 0]], points[samples[:, 1]]
@@ -146,7 +145,7 @@ def ransac_line_2d(
     def score(models: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         return np.abs(models[:, :2] @ points[chosen].T + models[:, 2:3])
 
-    _, inliers = _ransac(len(points), 2, threshold, rng, propose, score, n_min, "line")
+    _, inliers = sample_consensus(len(points), 2, threshold, rng, propose, score, n_min, "line")
     fit = fit_line_2d(points[inliers])
     refined = np.abs(fit.signed_distance_to(points)) <= threshold
     if np.count_nonzero(refined) >= np.count_nonzero(inliers):
@@ -179,18 +178,26 @@ def ransac_plane(
     GeometryError
         If no plane has that many inliers.
     """
-    _require(points, 3, "plane")
+    require_points(points, 3, "plane")
+
+    cosine = np.cos(max_angle_rad)
 
     def propose(samples: np.ndarray) -> np.ndarray:
-        return _planes_through(points[samples])
+        planes = _planes_through(points[samples])
+        if normals is not None:
+            # A plane whose own three points do not face its way is not worth scoring.
+            agreement = np.abs(np.einsum("mk,mjk->mj", planes[:, :3], normals[samples]))
+            planes = planes[np.all(agreement >= cosine, axis=1)]
+        return planes
 
     def score(models: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         residuals = np.abs(_plane_residuals(models, points[chosen]))
         if normals is not None:
-            residuals[np.abs(models[:, :3] @ normals[chosen].T) < np.cos(max_angle_rad)] = np.inf
+            residuals[np.abs(models[:, :3] @ normals[chosen].T) < cosine] = np.inf
         return residuals
 
-    model, inliers = _ransac(len(points), 3, threshold, rng, propose, score, n_min, "plane")
+    block, most = (BLOCK, MAX_HYPOTHESES) if normals is None else (8 * BLOCK, 4 * MAX_HYPOTHESES)
+    model, inliers = sample_consensus(len(points), 3, threshold, rng, propose, score, n_min, "plane", block, most)
     return Plane(model[:3], float(model[3])), inliers
 
 
@@ -205,7 +212,7 @@ def ransac_sphere(
 ) -> tuple[Sphere, Bool[np.ndarray, " n"]]:
     """Find the sphere that most points lie on.
 
-    With normals, two points make a sphere (the normals meet at its centre) [3]_; without, four.
+    With normals, two points make a sphere (the normals meet at its centre) [1]_; without, four.
 
     Parameters
     ----------
@@ -222,7 +229,7 @@ def ransac_sphere(
     GeometryError
         If no sphere has that many inliers.
     """
-    _require(points, 4, "sphere")
+    require_points(points, 4, "sphere")
 
     def propose(samples: np.ndarray) -> np.ndarray:
         if normals is None:
@@ -246,7 +253,7 @@ def ransac_sphere(
         return residuals
 
     n_sample = 4 if normals is None else 2
-    model, inliers = _ransac(len(points), n_sample, threshold, rng, propose, score, n_min, "sphere")
+    model, inliers = sample_consensus(len(points), n_sample, threshold, rng, propose, score, n_min, "sphere")
     return Sphere(model[:3], float(model[3])), inliers
 
 
@@ -262,7 +269,7 @@ def ransac_cylinder(
 ) -> tuple[Cylinder, Bool[np.ndarray, " n"]]:
     """Find the cylinder that most points lie on.
 
-    Two points with normals make a cylinder: its axis is at right angles to both normals, and they meet on it [3]_.
+    Two points with normals make a cylinder: its axis is at right angles to both normals, and they meet on it [1]_.
 
     Parameters
     ----------
@@ -280,7 +287,7 @@ def ransac_cylinder(
     GeometryError
         If no cylinder has that many inliers.
     """
-    _require(points, 5, "cylinder")
+    require_points(points, 5, "cylinder")
 
     def propose(samples: np.ndarray) -> np.ndarray:
         p, n = points[samples], normals[samples]
@@ -308,77 +315,8 @@ def ransac_cylinder(
         residuals[agreement < np.cos(max_angle_rad) * distance] = np.inf
         return residuals
 
-    model, inliers = _ransac(len(points), 2, threshold, rng, propose, score, n_min, "cylinder")
+    model, inliers = sample_consensus(len(points), 2, threshold, rng, propose, score, n_min, "cylinder")
     return Cylinder(Line(model[:3], model[3:6]), float(model[6])), inliers
-
-
-def _ransac(
-    n: int,
-    n_sample: int,
-    threshold: float,
-    rng: np.random.Generator,
-    propose: Callable[[np.ndarray], np.ndarray],
-    score: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    n_min: int,
-    shape: str,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The model with the least truncated squared residuals, and its inliers among all points."""
-    scored = _some(n, rng)
-    best, best_cost, needed, done = None, np.inf, float(MAX_HYPOTHESES), 0
-    while done < min(needed, MAX_HYPOTHESES):
-        models = propose(_samples(n, n_sample, BLOCK, rng))
-        done += BLOCK
-        models = models[np.all(np.isfinite(models), axis=1)]
-        if len(models) == 0:
-            continue
-        if len(scored) > 4 * FIRST_SCORED:
-            # Most hypotheses are poor, and a few points show that.
-            rough = np.sum(np.minimum(score(models, scored[:FIRST_SCORED]), threshold) ** 2, axis=1)
-            models = models[np.argsort(rough)[:16]]
-        residuals = score(models, scored)
-        costs = np.sum(np.minimum(residuals, threshold) ** 2, axis=1)
-        first = int(np.argmin(costs))
-        if costs[first] < best_cost:
-            best, best_cost = models[first], float(costs[first])
-            ratio = float(np.mean(residuals[first] <= threshold))
-            chance = min(max(ratio**n_sample, 1e-12), 1 - 1e-12)
-            # Noise of the samples makes some all-inlier models poor: allow for that with three times the usual number.
-            needed = 3 * np.log(1 - CONFIDENCE) / np.log1p(-chance)
-    if best is None:
-        raise GeometryError(
-            f"No sample of {n_sample} of the {n} points makes a {shape}; they may coincide or lie too evenly."
-        )
-    inliers = np.concatenate(
-        [score(best[None], np.arange(at, min(at + 65536, n)))[0] <= threshold for at in range(0, n, 65536)]
-    )
-    if np.count_nonzero(inliers) < max(n_min, n_sample):
-        raise GeometryError(
-            f"The best {shape} has only {np.count_nonzero(inliers)} of {n} points within {threshold:.3g} of it; "
-            f"{max(n_min, n_sample)} are needed. Allow a larger threshold, or choose points of a {shape}."
-        )
-    return best, inliers
-
-
-def _require(points: np.ndarray, n_needed: int, shape: str) -> None:
-    if len(points) < n_needed:
-        raise GeometryError(f"A {shape} needs at least {n_needed} points; there are {len(points)}.")
-    if not np.all(np.isfinite(points)):
-        raise GeometryError(f"The points of a {shape} must be finite numbers; leave out the missing ones.")
-
-
-def _some(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Indices on which hypotheses are scored, in random order."""
-    return rng.permutation(n) if n <= MAX_SCORED else rng.choice(n, MAX_SCORED, replace=False)
-
-
-def _samples(n: int, n_sample: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Random index tuples (count, n_sample) without repeats inside a tuple."""
-    samples = rng.integers(0, n, size=(count, n_sample))
-    ordered = np.sort(samples, axis=1)
-    repeated = np.any(ordered[:, 1:] == ordered[:, :-1], axis=1)
-    for row in np.flatnonzero(repeated):
-        samples[row] = rng.choice(n, n_sample, replace=False)
-    return samples
 
 
 def _unit_rows(vectors: np.ndarray) -> np.ndarray:
