@@ -90,6 +90,17 @@ class StripeScene:
         near = (np.abs(self.along(uv)) < 1.0) & (np.abs(other) < np.abs(distance))
         return np.where(near, other, distance)
 
+    def curve_points(self, spacing_px: float) -> Float[np.ndarray, "n 2"]:
+        """Points on the true centre, in order; they reach beyond the image."""
+        reach = float(np.hypot(*self.image_size))
+        t = np.arange(-reach, reach, spacing_px)
+        if self.curve == "arc":
+            angle = t[np.abs(t) < 0.5 * np.pi * self.radius_px] / self.radius_px
+            t, across = self.radius_px * np.sin(angle), self.radius_px * (1.0 - np.cos(angle))
+        else:
+            across = np.where(t < 0, 0.0, self.step_px if self.curve == "step" else 0.0)
+        return np.asarray(self.middle + t[:, None] * self.direction + across[:, None] * self.normal)
+
     def along(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
         """Position of points along the line (the tangent of an arc) from the image's centre, px."""
         return (uv - self.middle) @ self.direction

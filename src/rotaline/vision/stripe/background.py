@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.special import ndtr
 
 from rotaline.vision.stripe.curve import Chains
@@ -12,7 +12,8 @@ from rotaline.vision.stripe.profiles import Profiles
 SIDE = 3.0  # the sides begin this many widths from the centre
 _BLURS_PX = (0.5, 1.0, 2.0)
 _EDGES = np.linspace(-3.6, 3.6, 19)  # widths
-_POOL, _EVERY = 36, 3  # points
+_POOL, _EVERY = 60, 2  # points
+_SHAPE = 0.1  # part of a width, times step over stripe height: what is left open by the unknown shape of an edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,12 +24,12 @@ class Background:
     ----------
     value : (n, m)   under every sample
     slope_variance : (n,)   variance of its slope at the centre, for a pixel variance of 1
-    step : (n,)   True where an edge lies under the stripe: the two sides differ and a step fits better than a slope
+    u_edge_px : (n,)   uncertainty of the centre from an edge under the stripe; 0 where there is none
     """
 
     value: Float[np.ndarray, "n m"]
     slope_variance: Float[np.ndarray, " n"]
-    step: Bool[np.ndarray, " n"]
+    u_edge_px: Float[np.ndarray, " n"]
 
 
 def side_background(
@@ -45,7 +46,7 @@ def side_background(
     s_xx = np.maximum((dx * dx).sum(axis=1), 1e-9)
     slope = np.where(both, (dx * p).sum(axis=1) / s_xx, 0.0)
     value = mean_p[:, None] + slope[:, None] * (x - mean_x[:, None])
-    return Background(value, np.where(both, 1.0 / s_xx, 0.0), np.zeros(len(x), dtype=bool))
+    return Background(value, np.where(both, 1.0 / s_xx, 0.0), np.zeros(len(x)))
 
 
 def step_background(
@@ -94,12 +95,12 @@ def step_background(
     best, c = _linear_fit([*stripe, edge], p, use)
     gain = own.window_mean(rest_line - best, _POOL)
     won = (gain > 9.0 * np.maximum(noise[index], 0.3) ** 2) & (c[:, 0] > 0)
-    step, value, shift = line.step.copy(), line.value.copy(), shift_px.copy()
+    u_edge, value, shift = line.u_edge_px.copy(), line.value.copy(), shift_px.copy()
     value[index[won]] = (c[:, 3, None] + c[:, 4, None] * edge)[won]
     move = c[:, 1] / np.maximum(c[:, 0], 1e-9) * w[:, 0]
     shift[index[won]] += np.clip(move, -w[:, 0], w[:, 0])[won]
-    step[index[won]] = True
-    return Background(value, np.where(step, 0.0, line.slope_variance), step), shift
+    u_edge[index[won]] = (_SHAPE * w[:, 0] * np.abs(c[:, 4]) / np.maximum(c[:, 0], 1e-9))[won]
+    return Background(value, np.where(u_edge > 0, 0.0, line.slope_variance), u_edge), shift
 
 
 def _mean(values: np.ndarray, mask: np.ndarray) -> np.ndarray:

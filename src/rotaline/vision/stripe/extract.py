@@ -10,6 +10,7 @@ from rotaline.vision.images import Image
 from rotaline.vision.stripe.background import Background, side_background, step_background
 from rotaline.vision.stripe.centres import Centres, fit_gaussian, weighted_centroid
 from rotaline.vision.stripe.curve import Chains, break_chains
+from rotaline.vision.stripe.ends import average_along, sound_ends
 from rotaline.vision.stripe.model import StripePoints
 from rotaline.vision.stripe.profiles import Profiles
 from rotaline.vision.stripe.rows import cross_rows, flat_centroid
@@ -42,6 +43,13 @@ class StripeOptions:
     )
     min_contrast: float = field(
         default=2.0, metadata={"help": "least height of the stripe, grey values of an 8 bit image"}
+    )
+    average_px: int = field(
+        default=0,
+        metadata={
+            "help": "average each centre with its neighbours within so many px along the stripe (parabola); 0: none, "
+            "which leaves the centres nearly independent"
+        },
     )
     min_length_px: float = field(default=10.0, metadata={"help": "shorter pieces of stripe are dropped, px"})
 
@@ -91,7 +99,7 @@ def _measure(
         trace, normal = cross_rows(trace, image, clipped)
     cosine = np.abs((trace.normal * normal).sum(axis=1))
     profiles, width = trace.profiles, trace.width_px
-    zero = np.zeros(len(width))
+    zero = u_edge = np.zeros(len(width))
     line = side_background(profiles, zero, width)
     rough = weighted_centroid(profiles, line.value, line.slope_variance, zero, width)
     found = np.isfinite(rough.shift_px)
@@ -108,9 +116,10 @@ def _measure(
     else:
         ground, start = step_background(profiles, trace.chains, start, width, line, noise)
         centres, floor = _centres(trace, ground, start, rough, noise, options)
+        u_edge = ground.u_edge_px
     core = np.abs(profiles.offset_px - start[:, None]) <= 1.5 * width[:, None]
     saturated = (profiles.clipped & core).any(axis=1)
-    u = np.hypot(centres.u_px * noise, floor) * cosine
+    u = np.sqrt((centres.u_px * noise) ** 2 + floor**2 + u_edge**2) * cosine
     with np.errstate(invalid="ignore"):
         good = found & (np.abs(centres.shift_px) <= width + 1.0) & (u < 1.0) & (centres.height > 2.5 * noise)
         good &= centres.height > 0.5 * options.min_contrast * unit
@@ -118,14 +127,23 @@ def _measure(
     shift = np.where(good, centres.shift_px, 0.0)
     moved = Chains(trace.chains.uv + trace.normal * shift[:, None], trace.chains.chain)
     tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
-    chains, kept = break_chains(moved, tangent, good, max(4, int(options.min_length_px)))
+    least = max(4, int(options.min_length_px))
+    chains, kept = break_chains(moved, tangent, good, least)
+    index = np.flatnonzero(kept)
+    sound = sound_ends(chains, centres.width_px[index])
+    chains, kept = break_chains(chains, tangent[index], sound, least)
+    index = index[kept]
+    uv, u = chains.uv, u[index]
+    if options.average_px > 0:
+        uv, gain = average_along(chains, normal[index], options.average_px)
+        u = u * gain
     return StripePoints(
-        uv=chains.uv,
-        normal=normal[kept],
-        width_px=(centres.width_px * cosine)[kept],
-        intensity=centres.height[kept],
-        u_normal_px=u[kept],
-        saturated=saturated[kept],
+        uv=uv,
+        normal=normal[index],
+        width_px=(centres.width_px * cosine)[index],
+        intensity=centres.height[index],
+        u_normal_px=u,
+        saturated=saturated[index],
         segment=chains.chain,
     )
 

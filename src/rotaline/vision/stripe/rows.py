@@ -40,7 +40,7 @@ def cross_rows(
         own = np.column_stack([np.interp(whole, line, trace.normal[start:stop, k]) for k in (0, 1)])
         uv.append(found)
         normal.append(own / np.hypot(own[:, 0], own[:, 1])[:, None])
-        chain.append(np.full(len(whole), trace.chains.chain[start]))
+        chain.append(np.full(len(whole), len(chain), dtype=np.int64))
         axis.append(np.tile([float(along), 1.0 - along], (len(whole), 1)))
         width.append(np.interp(whole, line, trace.width_px[start:stop]))
     if not uv:

@@ -22,7 +22,8 @@ def steger_centres(
 
     The image is smoothed by a Gaussian as wide as the stripe. With gradient g and Hessian H of the smoothed image in a
     pixel and e the eigenvector of the most negative eigenvalue, the ridge lies at ``-(g . e) / (e' H e) e`` from the
-    pixel's centre; it counts in this pixel if that is at most 0.6 px away along both axes [1]_.
+    pixel's centre; it counts in this pixel if that is at most 0.6 px away along both axes [1]_. The expansion stops at the
+    second order; what it leaves out is known for a Gaussian stripe and is put right.
 
     Returns
     -------
@@ -53,6 +54,7 @@ def steger_centres(
     )
     pixel = np.rint(uv).astype(int)
     shape = np.array(part.shape[::-1]) - 1
+    shape2 = sigma**2 + width_px**2
     found = np.zeros(len(uv), dtype=bool)
     ridge = uv.copy()
     curvature = np.ones(len(uv))
@@ -66,7 +68,7 @@ def steger_centres(
         e = np.column_stack([np.cos(angle), np.sin(angle)])
         slope = gu[r, c] * e[:, 0] + gv[r, c] * e[:, 1]
         with np.errstate(divide="ignore", invalid="ignore"):
-            move = np.where(lowest < 0, -slope / lowest, np.inf)[:, None] * e
+            move = _without_third_order(np.where(lowest < 0, -slope / lowest, np.inf), shape2)[:, None] * e
         inside = np.isfinite(move).all(axis=1) & (np.abs(move) <= 0.6).all(axis=1)
         new = inside & ~found
         ridge[new] = (pixel + move)[new]
@@ -83,3 +85,10 @@ def steger_centres(
     first = np.zeros(len(uv), dtype=bool)
     first[earliest] = True
     return Centres(shift, u, width_px, np.full(len(uv), np.nan)), first & found
+
+
+def _without_third_order(t: np.ndarray, variance_px2: np.ndarray) -> np.ndarray:
+    """Distance x of a Gaussian ridge's top where gradient over curvature is t: ``t = x / (1 - x^2 / s^2)`` solved for x."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = 2.0 * t / (1.0 + np.sqrt(1.0 + 4.0 * t * t / variance_px2))
+    return np.where(np.isfinite(t), x, np.inf)
