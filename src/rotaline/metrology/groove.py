@@ -24,8 +24,9 @@ from rotaline.metrology.planes import (
     segment_planes,
 )
 from rotaline.metrology.plausibility import describe_scene, edge_margin
-from rotaline.metrology.scene import Scene, SearchCloud
+from rotaline.metrology.scene import Scene
 from rotaline.metrology.surface_fit import SurfaceFit, fit_all_points, form_error
+from rotaline.scanning.thinning import SearchCloud
 
 MIN_SIDE = 0.08
 """Smallest share of the top plane that must lie on either side of the bottom."""

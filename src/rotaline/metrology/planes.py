@@ -15,8 +15,9 @@ from rotaline.geometry.primitives import Plane
 from rotaline.geometry.robust import ransac_plane
 from rotaline.metrology.model import FeatureMeasurement
 from rotaline.metrology.plausibility import describe_scene, edge_margin, only_touches
-from rotaline.metrology.scene import Scene, SearchCloud
+from rotaline.metrology.scene import Scene
 from rotaline.metrology.surface_fit import SurfaceFit, fit_all_points, form_error, settle
+from rotaline.scanning.thinning import SearchCloud
 
 MAX_PLANES = 12
 PARALLEL_RAD = np.deg2rad(4.0)

@@ -6,8 +6,9 @@ from rotaline.errors import GeometryError
 from rotaline.geometry.fitting import fit_plane_orthogonal, fit_sphere_orthogonal
 from rotaline.geometry.primitives import Cylinder, Line, Plane, Sphere
 from rotaline.geometry.robust import ransac_plane
-from rotaline.metrology.scene import Scene, SearchCloud
+from rotaline.metrology.scene import Scene
 from rotaline.metrology.surface_fit import Surface, SurfaceFit, fit_surface, signed_distance
+from rotaline.scanning.thinning import SearchCloud
 
 MAX_NORMAL_RAD = np.deg2rad(30.0)
 """Largest angle between the normal of a thinned point and that of the surface it counts for."""

@@ -21,7 +21,7 @@ from rotaline.metrology.plausibility import (
     search_band,
     what_it_is_rather,
 )
-from rotaline.metrology.scene import Scene, SearchCloud
+from rotaline.metrology.scene import Scene
 from rotaline.metrology.surface_fit import (
     Surface,
     SurfaceFit,
@@ -29,6 +29,7 @@ from rotaline.metrology.surface_fit import (
     form_error,
     settle,
 )
+from rotaline.scanning.thinning import SearchCloud
 
 MAX_CANDIDATES = 3
 NOMINAL_RANGE = (0.7, 1.4)

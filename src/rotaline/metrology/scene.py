@@ -1,14 +1,12 @@
 """A cloud made ready for the search: cropped, thinned evenly, with local normals, the table top found and set aside.
 
-A rotary line scan is dense along the stripe and sparse across it; thinning by cells makes areas count instead of points.
-The cells are made just large enough that neighbourhoods spread in two directions, so that local planes mean something.
+The search works on the thinned points, where areas count; the final fits come back to all points.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from jaxtyping import Float, Int
 
 from rotaline.errors import GeometryError, MeasurementError
 from rotaline.geometry.fitting import fit_plane_orthogonal
@@ -16,29 +14,12 @@ from rotaline.geometry.primitives import Plane
 from rotaline.geometry.robust import mad_scale, ransac_plane
 from rotaline.metrology.model import Region
 from rotaline.metrology.options import MeasureOptions
+from rotaline.scanning.thinning import SearchCloud, extent_of, thin
 
 MAX_RAW = 300_000
 """Points beyond this number do not take part in the search."""
 
-NEIGHBOURS = 14
 TABLE_TILT_RAD = np.deg2rad(10.0)
-
-
-@dataclass(frozen=True, eq=False)
-class SearchCloud:
-    """Evenly thinned points with unit normals (of either sign); ``spacing`` is the cell size, mm.
-
-    ``roughness`` is the typical distance of points from the local plane, mm: noise, and the bend of the surface within a cell.
-    """
-
-    points: Float[np.ndarray, "n 3"]
-    normals: Float[np.ndarray, "n 3"]
-    spacing: float
-    roughness: float
-
-    def select(self, keep: Bool[np.ndarray, " n"]) -> "SearchCloud":
-        """The points for which ``keep`` is true."""
-        return replace(self, points=self.points[keep], normals=self.normals[keep])
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +88,7 @@ def build_scene(
     else:
         distance = table.signed_distance_to(raw)
         scale = mad_scale(table.signed_distance_to(whole.points[on_table]))
-        above = distance > max(6.0 * scale, 1e-3 * _extent(whole.points))
+        above = distance > max(6.0 * scale, 1e-3 * extent_of(whole.points))
         table_cloud = whole.select(on_table)
         if np.count_nonzero(above) >= options.min_points:
             part = thin(raw[above], options.n_search)
@@ -115,7 +96,7 @@ def build_scene(
             # Nothing stands on it: then it is the part.
             part, table, table_cloud = whole, None, whole.select(np.zeros(len(whole.points), dtype=bool))
     gap = min(float(np.median(np.linalg.norm(np.diff(inside, axis=0), axis=1))), part.spacing)
-    return Scene(inside, eyes, indices, part, table, table_cloud, _extent(part.points), gap, options)
+    return Scene(inside, eyes, indices, part, table, table_cloud, extent_of(part.points), gap, options)
 
 
 def describe_region(region: Region) -> str:
@@ -128,59 +109,6 @@ def describe_region(region: Region) -> str:
         if limit is not None
     ]
     return ", ".join(said) if said else "no limits"
-
-
-def thin(points: Float[np.ndarray, "n 3"], n_target: int) -> SearchCloud:
-    """Keep one point a cell, with cells as small as even neighbourhoods and ``n_target`` allow; add local normals.
-
-    Points whose neighbours are unusually far away (strays) are left out.
-    """
-    size = _extent(points)
-    cell = size / 400.0
-    while True:
-        kept = points[_one_per_cell(points, cell)]
-        fine_enough = len(kept) <= n_target
-        if fine_enough or len(kept) < 300:
-            k = min(NEIGHBOURS, len(kept))
-            tree = cKDTree(kept)
-            far, near = tree.query(kept, k=k)
-            values, vectors = _local_axes(kept[near])
-            spread = float(np.median(values[:, 1] / np.maximum(values[:, 2], 1e-300)))
-            if spread > 0.3 or len(kept) < 600 or cell > size / 15.0:
-                break
-        cell *= 1.3
-    mean_gap = far[:, 1 : max(2, k // 2)].mean(axis=1)
-    company = mean_gap <= 3.0 * float(np.median(mean_gap))
-    roughness = float(np.sqrt(np.quantile(values[company, 0], 0.3)))
-    return SearchCloud(kept[company], vectors[company, :, 0], cell, roughness)
-
-
-def _one_per_cell(points: np.ndarray, cell: float) -> np.ndarray:
-    """Indices of one point in each occupied cell: the middle one in the order of the cloud."""
-    keys = cell_keys(points, points.min(axis=0), cell)
-    _, counts = np.unique(keys, return_counts=True)
-    order = np.argsort(keys, kind="stable")
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    return np.sort(order[starts + counts // 2])
-
-
-def cell_keys(points: Float[np.ndarray, "n 3"], origin: Float[np.ndarray, "3"], cell: float) -> Int[np.ndarray, " n"]:
-    """One integer a cell of a cubic grid; neighbours along x, y, z differ by 1, 2**20, 2**40."""
-    grid = np.clip(np.floor((points - origin) / cell), -(2**18), 2**19 - 1).astype(np.int64) + 2**18
-    return grid[:, 0] + (grid[:, 1] << 20) + (grid[:, 2] << 40)
-
-
-def _local_axes(neighbourhoods: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Principal variances (ascending) and axes (columns) of each neighbourhood (n, k, 3)."""
-    centred = neighbourhoods - neighbourhoods.mean(axis=1, keepdims=True)
-    scatter = np.einsum("nki,nkj->nij", centred, centred) / max(neighbourhoods.shape[1] - 3, 1)
-    values, vectors = np.linalg.eigh(scatter)
-    return np.maximum(values, 0.0), vectors
-
-
-def _extent(points: np.ndarray) -> float:
-    low, high = np.quantile(points, [0.01, 0.99], axis=0)
-    return max(float(np.linalg.norm(high - low)), 1e-12)
 
 
 def _reach(points: np.ndarray) -> float:
@@ -203,7 +131,7 @@ def _find_table(cloud: SearchCloud, rng: np.random.Generator) -> tuple[Plane | N
     """The table top: the lowest large plane at right angles to z, with hardly anything below it."""
     none = (None, np.zeros(len(cloud.points), dtype=bool))
     level = np.abs(cloud.normals[:, 2]) > np.cos(TABLE_TILT_RAD)
-    size = _extent(cloud.points)
+    size = extent_of(cloud.points)
     threshold = min(max(4.0 * cloud.roughness, 0.002 * size), 0.01 * size)
     best: tuple[float, Plane, np.ndarray] | None = None
     remaining = level.copy()

@@ -12,8 +12,9 @@ from rotaline.metrology.model import FeatureMeasurement
 from rotaline.metrology.planes import fit_parallel
 from rotaline.metrology.plausibility import describe_scene, edge_margin, search_band, what_it_is_rather
 from rotaline.metrology.rounds import cylinder_measurement, fit_cylinder_side, search_cylinder
-from rotaline.metrology.scene import Scene, SearchCloud
+from rotaline.metrology.scene import Scene
 from rotaline.metrology.surface_fit import SurfaceFit, fit_all_points, form_error
+from rotaline.scanning.thinning import SearchCloud
 
 LEVEL_RAD = np.deg2rad(20.0)
 NOMINAL_RANGE = (0.85, 1.15)

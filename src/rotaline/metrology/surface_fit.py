@@ -22,7 +22,8 @@ from rotaline.geometry.fitting import (
 )
 from rotaline.geometry.primitives import Cylinder, Plane, Sphere
 from rotaline.geometry.robust import cauchy_weights, mad_scale
-from rotaline.metrology.scene import Scene, SearchCloud, cell_keys
+from rotaline.metrology.scene import Scene
+from rotaline.scanning.thinning import SearchCloud, cell_keys
 
 Surface = Plane | Sphere | Cylinder
 
