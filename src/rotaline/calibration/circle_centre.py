@@ -4,7 +4,9 @@ With ``p_i`` the positions of one point at successive angles, the chord ``n_i = 
 ``q_i = (p_i + p_(i+1)) / 2``, the centre O satisfies ``n_i . O = n_i . q_i`` (eq. (8) of [1]_) and lies in the plane of the
 circle. The article writes that plane ``G . O = 1`` and solves normal equations (eq. (9) and (10)). This fails for planes near
 the origin and squares the condition number; here the plane has a unit normal g, and the stacked system
-``[n_i; g] O = [n_i . q_i; g . mean(p)]`` is solved by orthogonal factorisation. The solution is the same.
+``[n_i; g] O = [n_i . q_i; g . mean(p)]`` is solved by orthogonal factorisation. The solution is the same for exact circles. With
+noise, the parts of the chords across the plane would push O out of it (by a millimetre, for a small board); so the positions
+are projected into their plane first, and O lies in it.
 
 References
 ----------
@@ -72,7 +74,7 @@ def fit_circles_by_chords(positions: Float[np.ndarray, "f m 3"]) -> CircleFits:
     normals = right[:, 2, :]
     normals = normals * np.where(normals @ normals[int(np.argmax(enough))] < 0, -1.0, 1.0)[:, None]
 
-    chords, middles = _chords(local, seen)
+    chords, middles = _chords(local - np.sum(local * normals, axis=2)[..., None] * normals, seen)
     system = np.concatenate([chords.transpose(1, 0, 2), normals[:, None, :]], axis=1)
     right_side = np.concatenate([np.sum(chords * middles, axis=2).T, np.zeros((len(mean), 1))], axis=1)
     q, r = np.linalg.qr(system)

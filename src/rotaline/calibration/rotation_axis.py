@@ -12,12 +12,14 @@ References
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.calibration.circle_centre import CircleFits, fit_circles_by_chords
+from rotaline.calibration.joint_axis import TurnedBoard, fit_axis_to_views
 from rotaline.calibration.model import AxisCalibration, AxisFrame, TargetView
 from rotaline.calibration.pose import estimate_board_pose
 from rotaline.calibration.turntable_motion import TurntableMotion, find_turntable_motion
@@ -37,6 +39,13 @@ _MAX_GROUPS = 30
 class AxisOptions:
     """How the initial rotation axis is found."""
 
+    method: Literal["circles", "joint"] = field(
+        default="circles",
+        metadata={
+            "help": "circles: centres of the circles of the corners, as in the article; joint: one axis for the images of all frames, "
+            "better where no artefact refines the axis"
+        },
+    )
     min_range_deg: float = field(
         default=20.0, metadata={"help": "warn if the target was seen over a smaller range of angles, deg"}
     )
@@ -66,7 +75,7 @@ def calibrate_axis(
     -------
     AxisCalibration   the axis points up (the camera sees the table top from above); its point is the one nearest to the optical
     axis. ``u_direction_rad`` and ``u_position_mm`` (at the middle of the circles' centres) are from a jackknife over the
-    frames [2]_.
+    frames [2]_, with ``joint`` from the scatter of the frames. The circles are the same with both methods.
 
     Raises
     ------
@@ -84,7 +93,11 @@ def calibrate_axis(
     line = _line_through_centres(circles, motion.direction_camera)
     up, warnings = _upwards(line.axis.direction)
     axis = _nearest_to_optical_axis(Line(line.axis.point, up))
-    u_direction, u_position = _jackknife(corners, circles, motion.direction_camera, axis)
+    turn_sense = 1 if float(motion.direction_camera @ up) > 0 else -1
+    if options.method == "joint":
+        axis, u_direction, u_position = _fit_to_views(camera, frames, axis, turn_sense)
+    else:
+        u_direction, u_position = _jackknife(corners, circles, motion.direction_camera, axis)
     warnings += _warnings(frames, motion, line, options)
 
     corners_camera = np.full((len(frames), len(ids), 3), np.nan)
@@ -93,7 +106,7 @@ def calibrate_axis(
     seen = np.isfinite(corners[..., 0]).sum(axis=0)
     return AxisCalibration(
         axis_camera=axis,
-        turn_sense=1 if float(motion.direction_camera @ up) > 0 else -1,
+        turn_sense=turn_sense,
         frames=tuple(frame.result() for frame in frames),
         point_ids=ids,
         corners_camera=corners_camera,
@@ -116,6 +129,7 @@ class _Frame:
     angle_rad: float
     target: Target
     point_ids: Int[np.ndarray, " n"]
+    uv: Float[np.ndarray, "n 2"]
     camera_from_board: RigidTransform
     rms_px: float
     reason: str
@@ -137,14 +151,16 @@ def _pose_frame(camera: CameraModel, view: TargetView) -> _Frame:
     try:
         pose = estimate_board_pose(camera, detection.points_board, detection.uv)
     except GeometryError as error:
-        nowhere, no_points = RigidTransform.identity(), detection.point_ids[:0]
-        return _Frame(view.name, angle, detection.target, no_points, nowhere, float("nan"), str(error))
+        nowhere = RigidTransform.identity()
+        no_ids, no_uv = detection.point_ids[:0], detection.uv[:0]
+        return _Frame(view.name, angle, detection.target, no_ids, no_uv, nowhere, float("nan"), str(error))
     reason = "" if np.isfinite(angle) else "the frame has no turntable angle"
     return _Frame(
         view.name,
         angle,
         detection.target,
         detection.point_ids[pose.used],
+        detection.uv[pose.used],
         pose.camera_from_board,
         pose.rms_px,
         reason,
@@ -178,9 +194,15 @@ def _settle_order(frames: Sequence[_Frame]) -> tuple[list[_Frame], TurntableMoti
     settled = list(frames)
     for k, f in enumerate(index):
         ids, pose = orders[k][motion.order[k]]
+        ascending = np.argsort(ids)
         reason = "" if motion.fits[k] else "the board does not stand where its angle says, with any order of its points"
         settled[f] = replace(
-            frames[f], point_ids=ids, camera_from_board=pose, reason=reason, turned_rad=float(motion.turned_rad[k])
+            frames[f],
+            point_ids=ids[ascending],
+            uv=frames[f].uv[ascending],
+            camera_from_board=pose,
+            reason=reason,
+            turned_rad=float(motion.turned_rad[k]),
         )
     return settled, motion
 
@@ -193,7 +215,7 @@ def _orders(frame: _Frame) -> list[tuple[Int[np.ndarray, " n"], RigidTransform]]
     for numbers in symmetry_permutations(frame.target):
         turn, _ = Rotation.align_vectors(points - middle, points[numbers] - middle)
         old_from_new = RigidTransform.from_components(middle - turn.apply(middle), turn)
-        orders.append((np.sort(numbers[frame.point_ids]), frame.camera_from_board * old_from_new))
+        orders.append((numbers[frame.point_ids], frame.camera_from_board * old_from_new))
     return orders
 
 
@@ -271,6 +293,22 @@ def _nearest_to_optical_axis(axis: Line) -> Line:
     across = axis.direction[:2]
     along = float(axis.point[:2] @ across) / float(across @ across) if float(across @ across) > 1e-12 else 0.0
     return Line(axis.point - along * axis.direction, axis.direction)
+
+
+def _fit_to_views(
+    camera: CameraModel, frames: Sequence[_Frame], axis: Line, turn_sense: int
+) -> tuple[Line, float, float]:
+    """The axis that explains the images of all frames best, and its standard uncertainties."""
+    used = sorted((frame for frame in frames if not frame.reason), key=lambda frame: frame.turned_rad)
+    start = used[len(used) // 2]
+    boards = [
+        TurnedBoard(
+            frame.target.points_board()[frame.point_ids], frame.uv, turn_sense * (frame.angle_rad - start.angle_rad)
+        )
+        for frame in used
+    ]
+    joint = fit_axis_to_views(camera, boards, axis, start.camera_from_board)
+    return _nearest_to_optical_axis(joint.axis_camera), joint.u_direction_rad, joint.u_position_mm
 
 
 def _jackknife(
