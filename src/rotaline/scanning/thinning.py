@@ -1,7 +1,8 @@
 """Thinning of a cloud to even density, and local normals.
 
 A rotary line scan is dense along the stripe and sparse across it; thinning by cells makes areas count instead of points.
-The cells are made just large enough that neighbourhoods spread in two directions, so that local planes mean something.
+The cells are made just large enough that neighbourhoods spread in two directions, and farther than the noise, so that local
+planes mean something.
 """
 
 from dataclasses import dataclass, replace
@@ -66,9 +67,18 @@ def thin_indices(points: Float[np.ndarray, "n 3"], n_target: int, finest: float)
             _, near = cKDTree(thinned).query(probes, k=min(NEIGHBOURS, len(thinned)))
             values, _ = local_axes(thinned[near])
             spread = float(np.median(values[:, 1] / np.maximum(values[:, 2], 1e-300)))
-            if spread > 0.3 or len(kept) < 600 or cell > size / 15.0:
+            flat = float(np.median(values[:, 0] / np.maximum(values[:, 1], 1e-300))) < 0.1
+            if (spread > 0.3 and flat) or len(kept) < 600 or cell > size / 15.0:
                 return kept, cell
         cell *= 1.3
+
+
+def cell_means(points: Float[np.ndarray, "n 3"], kept: Int[np.ndarray, " m"], cell: float) -> Float[np.ndarray, "m 3"]:
+    """Mean of all points in the cells of the kept ones, mm: less noise than single points."""
+    keys = cell_keys(points, points.min(axis=0), cell)
+    cells, place, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    sums = np.column_stack([np.bincount(place, weights=column, minlength=len(cells)) for column in points.T])
+    return (sums / counts[:, None])[place[kept]]
 
 
 def _one_per_cell(points: np.ndarray, cell: float) -> np.ndarray:
