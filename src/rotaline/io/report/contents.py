@@ -30,7 +30,7 @@ STAGES = {
     "surface": "Surface",
     "report": "Report",
 }
-"""Names of the stages in warnings, overlays and times, with their titles. Other names are shown as they are."""
+"""Names of the stages in warnings and overlays, with their titles."""
 
 
 @dataclass(frozen=True)

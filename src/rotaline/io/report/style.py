@@ -37,13 +37,15 @@ DIVERGING = LinearSegmentedColormap.from_list(
     "rotaline", ["#08306b", BLUE, "#8fc1de", "#e4e4e0", "#f0b48a", VERMILION, "#6b2400"]
 )
 
+CYCLIC = LinearSegmentedColormap.from_list("rotaline-turn", [BLUE, GREEN, AMBER, VERMILION, PURPLE, BLUE])
+
 _TEXT = 8.5
 
 
 def new_figure(width_inch: float, height_inch: float) -> Figure:
     """An empty figure that arranges its axes by itself."""
     figure = Figure(
-        figsize=(width_inch, height_inch), layout=ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.05), facecolor="white"
+        figsize=(width_inch, height_inch), layout=ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.08), facecolor="white"
     )
     FigureCanvasAgg(figure)
     return figure
@@ -206,7 +208,7 @@ def png_uri(figure: Figure, dpi: float = 160.0) -> str:
     return "data:image/png;base64," + base64.b64encode(_png(figure, dpi, palette=True)).decode("ascii")
 
 
-def jpeg_uri(figure: Figure, dpi: float = 150.0) -> str:
+def jpeg_uri(figure: Figure, dpi: float = 190.0) -> str:
     """The figure as an inline JPEG image (for camera frames)."""
     figure.set_dpi(dpi)
     canvas = FigureCanvasAgg(figure)

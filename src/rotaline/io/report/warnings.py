@@ -1,34 +1,13 @@
 """The warnings of a run: collected from the contents and from the stages' results, without saying anything twice."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from rotaline.io.report.contents import STAGES, ReportContents, StageWarning
 
-_ALIASES = {
-    "initial-axis": "axis",
-    "rotation-axis": "axis",
-    "axis-optimisation": "artifact",
-    "artefact": "artifact",
-    "stepped-cylinder": "artifact",
-    "laser-plane-optimisation": "cross-ratio",
-    "measurement": "measure",
-    "measurements": "measure",
-    "mesh": "surface",
-    "stripes": "stripe",
-    "targets": "session",
-    "reading": "session",
-}
-
-
-def stage_key(stage: str) -> str:
-    """The key in ``STAGES`` of a stage's name in any of its spellings; other names come back in lower case."""
-    key = stage.strip().lower().replace(" ", "-").replace("_", "-")
-    return _ALIASES.get(key, key)
-
 
 def stage_title(stage: str) -> str:
-    """How a stage is called on the page."""
-    return STAGES.get(stage_key(stage), stage)
+    """How a stage is called on the page; a name that is not in ``STAGES`` stands for itself."""
+    return STAGES.get(stage, stage)
 
 
 def collect_warnings(contents: ReportContents) -> tuple[StageWarning, ...]:
@@ -72,4 +51,14 @@ def _warnings_of_results(contents: ReportContents) -> Iterator[tuple[StageWarnin
 
 def warnings_of(stage: str, warnings: tuple[StageWarning, ...]) -> tuple[StageWarning, ...]:
     """Those of one stage."""
-    return tuple(w for w in warnings if stage_key(w.stage) == stage)
+    return tuple(w for w in warnings if w.stage == stage)
+
+
+def grouped(warnings: Iterable[StageWarning]) -> tuple[tuple[str, str], ...]:
+    """Titles of the stages and text, a text that several stages share only once."""
+    stages: dict[str, list[str]] = {}
+    for warning in warnings:
+        titles = stages.setdefault(warning.text, [])
+        if stage_title(warning.stage) not in titles:
+            titles.append(stage_title(warning.stage))
+    return tuple((", ".join(titles), text) for text, titles in stages.items())

@@ -9,7 +9,7 @@ from rotaline.io.files import whole_file
 from rotaline.io.report.contents import ReportContents, StageWarning
 from rotaline.io.report.page import Section, finished
 from rotaline.io.report.sections import artifact, axis, camera, laser_plane, parts, results, run, session
-from rotaline.io.report.warnings import collect_warnings, stage_title
+from rotaline.io.report.warnings import collect_warnings, grouped
 
 
 def write_report(contents: ReportContents, path: Path) -> None:
@@ -40,15 +40,14 @@ def render_report(contents: ReportContents) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["stage_title"] = stage_title
     loader = environment.loader
     assert loader is not None
     style = Markup(loader.get_source(environment, "report.css")[0])
     return environment.get_template("report.html.jinja").render(
         run=contents.run,
         style=style,
-        serious=[w for w in warnings if w.serious],
-        ordinary=[w for w in warnings if not w.serious],
+        serious=grouped(w for w in warnings if w.serious),
+        ordinary=grouped(w for w in warnings if not w.serious),
         key_figures=results.key_figures(contents),
         sections=finished(_sections(contents, warnings)),
     )
@@ -58,7 +57,7 @@ def _sections(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> l
     return [
         results.section(contents),
         session.section(contents, warnings),
-        camera.section(contents.camera, warnings),
+        camera.section(contents, warnings),
         laser_plane.plane_section(contents, warnings),
         laser_plane.cross_ratio_section(contents, warnings),
         axis.section(contents, warnings),

@@ -292,7 +292,12 @@ def make_contents(scale: int = 1) -> ReportContents:
     stepped, r_stepped = _cylinder(rng, n, 18.003, 25.0)
     sphere_geometry = {"centre": [4.0, -2.0, 24.0], "radius": 14.2375}
     axis_geometry = {"axis_point": [0.0, 0.0, 0.0], "axis_direction": [0.0, 0.0, 1.0], "radius": 19.002}
-    groove_geometry = {"normal": [0.0, 0.0, 1.0], "direction": [0.0, 1.0, 0.0], "tilt_deg": 0.031}
+    stepped_geometry = {
+        "axis_point_large": [0.0, 0.0, 0.0],
+        "axis_direction_large": [0.0, 0.0, 1.0],
+        "radius_large": 18.003,
+    }
+    groove_geometry = {"top_normal": [0.0, 0.0, 1.0], "direction": [0.0, 1.0, 0.0], "tilt_deg": 0.031}
     sizes = {"diameter_small": 23.051, "diameter_large": 36.006, "height_small": 22.003, "height_large": 25.005}
 
     def entries(offset: float) -> tuple[MeasurementEntry, ...]:
@@ -305,7 +310,7 @@ def make_contents(scale: int = 1) -> ReportContents:
                     f"stepped-{i}",
                     "stepped-cylinder",
                     "stepped-cylinder",
-                    _measurement("stepped-cylinder", stepped_values(offset + 0.001 * i), r_stepped, axis_geometry),
+                    _measurement("stepped-cylinder", stepped_values(offset + 0.001 * i), r_stepped, stepped_geometry),
                     sizes,
                 )
                 for i in (1, 2)
@@ -388,7 +393,7 @@ def make_contents(scale: int = 1) -> ReportContents:
                 "camera", "no target in 1 of 15 frames of camera: camera/0014.png: 17 x 16 corners were nearly found."
             ),
             StageWarning(
-                "axis optimisation",
+                "artifact",
                 "stepped-1 is only 0.4 mm off centre and says little about the axis. Mount it 5 to 8 mm off centre.",
             ),
             StageWarning(

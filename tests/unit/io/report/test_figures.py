@@ -4,6 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rotaline.io.report.figures import artifact, axis, camera, features, laser_plane, scan
 
@@ -76,3 +78,13 @@ def test_a_fit_without_geometry_is_still_drawn(full_contents):
     entry = next(e for e in full_contents.measurements if e.feature == "sphere")
     bare = dataclasses.replace(entry.measurement, geometry={"centre": [float("nan"), 0.0, 0.0]})
     assert "Residuals, seen along the normal" in {ax.get_title(loc="left") for ax in features.fit(bare, fitted).axes}
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.floats(0, 360), st.integers(2, 20), st.floats(0.5, 15), st.randoms())
+def test_the_arc_of_the_table_angles_does_not_depend_on_where_they_begin(start, n, step, random):
+    angles = start + step * np.arange(n)
+    order = random.sample(range(n), n)
+    arc = axis.unwrapped(np.deg2rad(angles[order] % 360.0))
+    assert np.rad2deg(np.ptp(arc)) == pytest.approx(step * (n - 1), abs=1e-6)
+    np.testing.assert_allclose(np.cos(arc), np.cos(np.deg2rad(angles[order])), atol=1e-9)

@@ -96,7 +96,7 @@ def test_the_order_is_warnings_results_rig_stages(full_html):
         "Captures of the session",
         "px RMS over 12 of 14 views",
         "stripe points in 9 of 10 poses",
-        "Interval RMSE 0.0206",
+        "Interval RMSE 20.6 → 2.8 µm",
         "Circles 11.2 µm RMS",
         "Mean distance to the ideal circles",
         "Clouds of points in the table frame",
@@ -174,7 +174,7 @@ def test_warnings_are_never_said_twice(full_contents):
 def test_a_serious_warning_spoils_the_judgement_of_its_stage(full_contents):
     calm = light(full_contents, cross_ratio=full_contents.cross_ratio)
     assert 'class="judgement good"' in render_report(calm)
-    alarmed = dataclasses.replace(calm, warnings=(StageWarning("Cross-Ratio", "the dots moved", serious=True),))
+    alarmed = dataclasses.replace(calm, warnings=(StageWarning("cross-ratio", "the dots moved", serious=True),))
     html = render_report(alarmed)
     assert 'class="judgement good"' not in html
     assert "1 serious warning: do not rely on" in Page(html).text

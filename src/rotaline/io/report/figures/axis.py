@@ -117,7 +117,9 @@ def checks(calibration: AxisCalibration) -> Figure:
 
     angles, residuals = board_angle_residuals(calibration)
     ax_angles.axhline(0.0, color=style.GREY, lw=0.8)
-    ax_angles.plot(np.rad2deg(angles), np.rad2deg(residuals), "o", color=style.BLUE, markersize=3, markeredgewidth=0)
+    ax_angles.plot(
+        np.rad2deg(unwrapped(angles)), np.rad2deg(residuals), "o", color=style.BLUE, markersize=3, markeredgewidth=0
+    )
     style.style_axes(ax_angles, "Angle of the board − table", "table angle [deg]", "difference [deg]")
     return figure
 
@@ -134,6 +136,26 @@ def board_angle_residuals(calibration: AxisCalibration) -> tuple[Float[np.ndarra
     difference = board - (angles - angles[0])
     difference = (difference + np.pi) % (2 * np.pi) - np.pi
     return angles, difference - np.median(difference)
+
+
+def unwrapped(angles_rad: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
+    """The same angles (order kept) in one turn that begins after the largest gap, so that their range is the arc covered.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> np.rad2deg(unwrapped(np.deg2rad([350.0, 10.0, 30.0]))).round(6).tolist()
+    [-10.0, 10.0, 30.0]
+    """
+    turn = 2.0 * np.pi
+    wrapped = np.asarray(angles_rad, dtype=float) % turn
+    if len(wrapped) < 2:
+        return wrapped
+    ordered = np.sort(wrapped)
+    gaps = np.diff(ordered, append=ordered[0] + turn)
+    start = ordered[(int(np.argmax(gaps)) + 1) % len(ordered)]
+    begun = (wrapped - start) % turn + start
+    return np.asarray(begun - turn if begun.mean() > np.pi else begun)
 
 
 def across(axis: Line) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:

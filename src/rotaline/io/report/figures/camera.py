@@ -11,6 +11,9 @@ from rotaline.calibration.model import CameraCalibration, CameraView
 from rotaline.io.report import style
 from rotaline.vision.camera import CameraModel
 
+_MEAN_FROM = 12
+"""Points that a cell needs for its mean."""
+
 
 def coverage(calibration: CameraCalibration) -> Figure:
     """Where in the image the camera was observed; cells without any point are shaded."""
@@ -43,7 +46,7 @@ def residual_vectors(calibration: CameraCalibration) -> Figure:
     centres, means = [], []
     column = np.clip(np.searchsorted(u_edges, uv[:, 0], side="right") - 1, 0, len(u_edges) - 2)
     row = np.clip(np.searchsorted(v_edges, uv[:, 1], side="right") - 1, 0, len(v_edges) - 2)
-    for i, j in zip(*np.nonzero(counts >= 5), strict=True):
+    for i, j in zip(*np.nonzero(counts >= _MEAN_FROM), strict=True):
         cell = (column == i) & (row == j)
         centres.append(uv[cell].mean(axis=0))
         means.append(residuals[cell].mean(axis=0))

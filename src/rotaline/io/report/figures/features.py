@@ -1,5 +1,6 @@
 """Pictures of fitted features: the points and their residuals in colour, unrolled or along the profile, and a histogram."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 
 from rotaline.io.report import style
 from rotaline.io.report.contents import FittedPoints
+from rotaline.io.report.figures.scan import panel
 from rotaline.io.report.raster import render_points, views_around
 from rotaline.metrology.model import FeatureMeasurement
 
@@ -88,12 +90,8 @@ def _space(
 ) -> None:
     (view,) = views_around(points, ((25.0, 24.0),), (520, 460))
     colours = np.asarray(mappable.to_rgba(residuals)[:, :3], dtype=float)
-    ax.imshow(render_points(points, colours, view, float(np.clip(180.0 / np.sqrt(len(points)), 1.3, 4.0))))
-    ax.set_axis_off()
-    style.style_axes(ax, "Points used by the fit", grid=False)
-    length_mm = style.round_down_125(0.3 * 520 * view.mm_per_px)
-    ax.plot([15, 15 + length_mm / view.mm_per_px], [445, 445], color=style.INK, lw=2.0, solid_capstyle="butt")
-    ax.text(15, 437, f"{length_mm:g} mm", fontsize=7.5, color=style.INK, va="bottom")
+    radius = float(np.clip(180.0 / np.sqrt(len(points)), 1.3, 4.0))
+    panel(ax, render_points(points, colours, view, radius), view, "Points used by the fit")
 
 
 def _histogram(ax: Axes, residuals: Float[np.ndarray, " n"], limit: float) -> None:
@@ -117,44 +115,64 @@ def _chart(measurement: FeatureMeasurement, points: Float[np.ndarray, "n 3"]) ->
             latitude = np.rad2deg(np.arcsin(np.clip(d[:, 2] / np.linalg.norm(d, axis=1), -1, 1)))
             return _Chart("Residuals over the sphere", "longitude [deg]", "latitude [deg]", longitude, latitude)
     if measurement.feature in ("cylinder", "stepped-cylinder"):
-        point, direction = _vector(geometry, "axis_point"), _vector(geometry, "axis_direction")
+        suffix = "_large" if measurement.feature == "stepped-cylinder" else ""
+        point, direction = _vector(geometry, f"axis_point{suffix}"), _vector(geometry, f"axis_direction{suffix}")
         if point is not None and direction is not None:
-            direction = direction / np.linalg.norm(direction)
-            direction = -direction if direction[2] < 0 else direction
-            along = (points - point) @ direction
-            seed = np.array([1.0, 0.0, 0.0]) if abs(direction[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-            u = seed - (seed @ direction) * direction
-            u = u / np.linalg.norm(u)
-            angle = np.rad2deg(np.arctan2((points - point) @ np.cross(direction, u), (points - point) @ u))
-            return _Chart(
-                "Residuals, unrolled", "angle about the fitted axis [deg]", "along the axis [mm]", angle, along
-            )
+            return _unrolled(points, point, direction, stepped=bool(suffix))
     if measurement.feature in ("groove", "step"):
-        along, up = _vector(geometry, "direction"), _vector(geometry, "normal")
+        up = _vector(geometry, "normal")
+        up = _vector(geometry, "top_normal") if up is None else up
         if up is not None:
-            up = up / np.linalg.norm(up)
-            if along is None:
-                along = _main_direction(points, up)
-            run = np.cross(along / np.linalg.norm(along), up)
-            centre = points.mean(axis=0)
-            return _Chart(
-                "Residuals along the profile",
-                "across the feature [mm]",
-                "along the normal [mm]",
-                (points - centre) @ run,
-                (points - centre) @ up,
-                surface=False,
-            )
+            return _profile(points, up / np.linalg.norm(up), _vector(geometry, "direction"))
     centre = points.mean(axis=0)
     _, _, axes = np.linalg.svd(points[style.thinned(len(points), 3000)] - centre, full_matrices=False)
     flat = (points - centre) @ axes[:2].T
     return _Chart("Residuals, seen along the normal", "[mm]", "[mm]", flat[:, 0], flat[:, 1], equal=True)
 
 
-def _vector(geometry: dict[str, float | list[float]], key: str) -> Float[np.ndarray, "3"] | None:
+def _unrolled(
+    points: Float[np.ndarray, "n 3"],
+    point: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, "3"],
+    stepped: bool,
+) -> _Chart:
+    """Angle about the axis against the place along it; on a stepped cylinder along its profile, so that discs unroll too."""
+    z = direction / np.linalg.norm(direction)
+    z = -z if z[2] < 0 else z
+    seed = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    x = seed - (seed @ z) * z
+    x = x / np.linalg.norm(x)
+    local = (points - point) @ np.stack([x, np.cross(z, x), z]).T
+    angle = np.rad2deg(np.arctan2(local[:, 1], local[:, 0]))
+    along, label = local[:, 2], "along the axis [mm]"
+    if stepped:
+        along = along - np.hypot(local[:, 0], local[:, 1])
+        along, label = along - along.max(), "down along the profile [mm]"
+    return _Chart("Residuals, unrolled", "angle about the fitted axis [deg]", label, angle, along)
+
+
+def _profile(
+    points: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"], along: Float[np.ndarray, "3"] | None
+) -> _Chart:
+    """Across a groove or step against the height above its middle."""
+    along = _main_direction(points, normal) if along is None else along
+    across = np.cross(along, normal)
+    across = across / np.linalg.norm(across)
+    d = points - points.mean(axis=0)
+    return _Chart(
+        "Residuals along the profile",
+        "across the feature [mm]",
+        "along the normal [mm]",
+        d @ across,
+        d @ normal,
+        surface=False,
+    )
+
+
+def _vector(geometry: Mapping[str, float | Sequence[float]], key: str) -> Float[np.ndarray, "3"] | None:
     """A vector of the geometry, or None if it is absent or unusable."""
     value = geometry.get(key)
-    if not isinstance(value, list) or len(value) != 3 or not np.isfinite(value).all():
+    if not isinstance(value, Sequence) or len(value) != 3 or not np.isfinite(value).all():
         return None
     return np.array(value, dtype=float)
 

@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 
 from rotaline.io.report import style
@@ -16,26 +16,28 @@ from rotaline.scanning.cloud import PointCloud
 
 VIEWPOINTS_DEG = ((20.0, 22.0), (140.0, 22.0), (260.0, 22.0), (20.0, 89.0))
 VIEWPOINT_NAMES = ("20° from x", "140° from x", "260° from x", "from above")
-_PANEL_PX = (520, 480)
+_PANEL_PX = (440, 400)
+_ABOVE_TABLE_MM = 0.5
 
 
-def cloud_views(cloud: PointCloud) -> Figure:
-    """The cloud from four viewpoints, coloured by height."""
+def cloud_views(cloud: PointCloud, table_seen: bool) -> Figure:
+    """The cloud from four viewpoints, coloured by height; the table (z = 0 if it was seen) does not shrink the part."""
     points, _ = _finite(cloud.points_table)
     figure = style.new_figure(style.FULL_INCH, 2.75)
     axes = figure.subplots(1, 4)
     if len(points) == 0:
         return _empty(axes, figure, "no points")
+    part = _part(points, table_seen)
     values = points[:, 2]
-    views = views_around(points, VIEWPOINTS_DEG, _PANEL_PX)
-    mappable = _mappable(values, style.SEQUENTIAL)
+    views = views_around(points[part], VIEWPOINTS_DEG, _PANEL_PX)
+    mappable = _mappable(values[part], style.SEQUENTIAL)
     for ax, view, name in zip(axes, views, VIEWPOINT_NAMES, strict=True):
-        _panel(ax, _draw_points(points, values, mappable, view), view, name)
+        panel(ax, _draw_points(points, values, mappable, view), view, name)
     style.colour_bar(figure, mappable, axes, "z, table frame [mm]", shrink=0.8)
     return figure
 
 
-def cloud_attributes(cloud: PointCloud) -> Figure:
+def cloud_attributes(cloud: PointCloud, table_seen: bool) -> Figure:
     """The cloud by intensity, by standard uncertainty and by table angle."""
     points, pick = _finite(cloud.points_table)
     figure = style.new_figure(style.FULL_INCH, 2.75)
@@ -43,18 +45,19 @@ def cloud_attributes(cloud: PointCloud) -> Figure:
     if len(points) == 0:
         return _empty(axes, figure, "no points")
     directions = (VIEWPOINTS_DEG[0], VIEWPOINTS_DEG[0], VIEWPOINTS_DEG[3])
-    views = views_around(points, directions, _PANEL_PX)
-    shown = (
+    part = _part(points, table_seen)
+    views = views_around(points[part], directions, _PANEL_PX)
+    shown: tuple[tuple[Float[np.ndarray, " n"], str | Colormap, str, str], ...] = (
         (cloud.intensity[pick], "cividis", "intensity [grey values]", "Intensity"),
         (cloud.u_mm[pick] * 1e3, "plasma", "u, k = 1 [µm]", "Standard uncertainty from the stripe"),
-        (np.rad2deg(cloud.angle_rad[pick]) % 360.0, "twilight", "table angle [deg]", "Table angle"),
+        (np.rad2deg(cloud.angle_rad[pick]) % 360.0, style.CYCLIC, "table angle [deg]", "Table angle"),
     )
     for ax, view, (values, colours, label, title) in zip(axes, views, shown, strict=True):
-        mappable = _mappable(values, colours)
+        mappable = _mappable(values[part], colours)
         if not np.isfinite(values).any():
             style.nothing_to_draw(ax, f"{title}: not known")
             continue
-        _panel(ax, _draw_points(points, values, mappable, view), view, title)
+        panel(ax, _draw_points(points, values, mappable, view), view, title)
         style.colour_bar(figure, mappable, ax, label, shrink=0.75)
     return figure
 
@@ -71,7 +74,7 @@ def points_by_frame(cloud: PointCloud, n_points: int) -> Figure:
     order = np.argsort(angles)
     scaled = counts * (n_points / len(cloud))
     ax.plot(angles[order], scaled[order], ".", color=style.BLUE, markersize=4, markeredgewidth=0)
-    ax.set_ylim(bottom=0)
+    ax.set_ylim(0.0, 1.12 * float(scaled.max()))
     ax.set_xlim(-3, 363)
     ax.set_xticks(np.arange(0, 361, 45))
     style.style_axes(ax, "", "table angle [deg]", "points a frame")
@@ -86,8 +89,14 @@ def mesh_views(vertices_table: Float[np.ndarray, "v 3"], triangles: Int[np.ndarr
     if len(used) == 0:
         return _empty(axes, figure, "no triangles")
     for ax, view, name in zip(axes, views_around(used, VIEWPOINTS_DEG, _PANEL_PX), VIEWPOINT_NAMES, strict=True):
-        _panel(ax, render_mesh(vertices_table, triangles, view), view, name)
+        panel(ax, render_mesh(vertices_table, triangles, view), view, name)
     return figure
+
+
+def _part(points: Float[np.ndarray, "n 3"], table_seen: bool) -> Bool[np.ndarray, " n"]:
+    """Points that stand above the table top; all, if it was not seen or hardly anything stands on it."""
+    above = points[:, 2] > _ABOVE_TABLE_MM
+    return above if table_seen and above.sum() > 0.02 * len(points) else np.ones(len(points), bool)
 
 
 def _finite(points: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "m 3"], Int[np.ndarray, " m"]]:
@@ -95,9 +104,9 @@ def _finite(points: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "m 3"],
     return points[pick], pick
 
 
-def _mappable(values: Float[np.ndarray, " n"], colours: str) -> ScalarMappable:
-    low, high = style.robust_range(values, 1.0)
-    return ScalarMappable(Normalize(low, high), colormaps[colours])
+def _mappable(values: Float[np.ndarray, " n"], colours: str | Colormap) -> ScalarMappable:
+    low, high = (0.0, 360.0) if colours is style.CYCLIC else style.robust_range(values, 1.0)
+    return ScalarMappable(Normalize(low, high), colormaps[colours] if isinstance(colours, str) else colours)
 
 
 def _draw_points(
@@ -109,17 +118,24 @@ def _draw_points(
     return render_points(points[known], colours, view, radius)
 
 
-def _panel(ax: Axes, picture: UInt8[np.ndarray, "h w 3"], view: View, title: str) -> None:
+def panel(ax: Axes, picture: UInt8[np.ndarray, "h w 3"], view: View, title: str) -> None:
     """A rendered picture with a scale bar in mm."""
     height, width = picture.shape[:2]
-    ax.imshow(picture, interpolation="lanczos")
+    strip = round(0.09 * height)
+    ax.imshow(np.vstack([picture, np.full((strip, width, 3), 255, np.uint8)]), interpolation="lanczos")
     ax.set_axis_off()
     ax.set_title(title, fontsize=8.5, color=style.INK, loc="left", fontweight="bold")
     length_mm = style.round_down_125(0.3 * width * view.mm_per_px)
-    length_px = length_mm / view.mm_per_px
-    u, v = 0.03 * width, 0.965 * height
-    ax.plot([u, u + length_px], [v, v], color=style.INK, lw=2.0, solid_capstyle="butt")
-    ax.text(u, v - 0.02 * height, f"{length_mm:g} mm", fontsize=7.5, color=style.INK, va="bottom")
+    u, v = 0.03 * width, height + 0.5 * strip
+    ax.plot([u, u + length_mm / view.mm_per_px], [v, v], color=style.INK, lw=2.0, solid_capstyle="butt")
+    ax.text(
+        u + length_mm / view.mm_per_px + 0.02 * width,
+        v,
+        f"{length_mm:g} mm",
+        fontsize=7.5,
+        color=style.INK,
+        va="center",
+    )
 
 
 def _empty(axes: Any, figure: Figure, text: str) -> Figure:

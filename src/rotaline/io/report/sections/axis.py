@@ -24,7 +24,7 @@ def section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Sec
             missing="No initial axis from a target on the turntable"
             + (": the axis was found from the artefact alone." if contents.artifact is not None else "."),
         )
-    judgement, level = _judge(calibration)
+    judgement, level = _judge(calibration, refined=contents.artifact is not None)
     blocks: list[Block] = [
         _parameters(calibration),
         *overlay_blocks(contents, "axis"),
@@ -59,22 +59,24 @@ def section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Sec
 
 
 def _used_angles_deg(calibration: AxisCalibration) -> np.ndarray:
-    return np.rad2deg(np.array([f.angle_rad for f in calibration.frames if f.used]))
+    """Table angles of the used frames in one piece, deg: their range is the arc that was seen."""
+    return np.rad2deg(figures.unwrapped(np.array([f.angle_rad for f in calibration.frames if f.used])))
 
 
-def _judge(calibration: AxisCalibration) -> tuple[str, Level]:
+def _judge(calibration: AxisCalibration, refined: bool) -> tuple[str, Level]:
     angles = _used_angles_deg(calibration)
     n, used = len(calibration.frames), len(angles)
     span = float(np.ptp(angles)) if used else 0.0
     text = (
         f"Circles {numbers.um(calibration.rms_mm)} µm RMS over {used} of {numbers.plural(n, 'frame')} that span "
-        f"{numbers.fixed(span, 1)} deg; the axis is known to {numbers.fixed(calibration.u_direction_rad * 1e6, 0)} µrad in "
+        f"an arc of {numbers.fixed(span, 1)} deg; the axis is known to {numbers.fixed(calibration.u_direction_rad * 1e6, 0)} µrad in "
         f"direction and {numbers.um(calibration.u_position_mm)} µm in position (k = 1). Short arcs make the circle centres, "
-        "and so the axis, uncertain."
+        "and so the axis, uncertain"
+        + ("; the stepped cylinder refines it below." if refined else ": a stepped cylinder would refine it.")
     )
     if used < 3 or not np.isfinite(calibration.u_position_mm):
         return text, "poor"
-    return text, "good" if used >= 0.8 * n and span >= 30.0 and used >= 8 else "fair"
+    return text, "good" if used >= 0.8 * n and calibration.u_position_mm <= 0.02 else "fair"
 
 
 def _parameters(calibration: AxisCalibration) -> Table:

@@ -4,11 +4,13 @@ import numpy as np
 
 from rotaline.calibration.model import CameraCalibration
 from rotaline.io.report import numbers
-from rotaline.io.report.contents import StageWarning
+from rotaline.io.report.contents import ReportContents, StageWarning
 from rotaline.io.report.figures import camera as figures
 from rotaline.io.report.page import Block, Column, Gallery, Level, Row, Section, Table, picture
+from rotaline.io.report.sections.overlays import overlay_blocks
 from rotaline.io.report.warnings import warnings_of
 
+_GOOD_FOCAL, _POOR_FOCAL = 0.003, 0.05
 _UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "u0": "px", "v0": "px"}
 _MEANING = {
     "fx": "focal length along u",
@@ -23,9 +25,10 @@ _MEANING = {
 }
 
 
-def section(calibration: CameraCalibration | None, warnings: tuple[StageWarning, ...]) -> Section:
+def section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Section:
     """Parameters, views, coverage, residuals, poses."""
     mine = warnings_of("camera", warnings)
+    calibration = contents.camera
     if calibration is None:
         return Section(
             "camera",
@@ -55,7 +58,7 @@ def section(calibration: CameraCalibration | None, warnings: tuple[StageWarning,
                 picture(
                     lambda: figures.residual_vectors(calibration),
                     "Residuals (observed − projected) over the image. Left: single points should point anywhere. Right: means of "
-                    "cells with five points or more; an orderly pattern there is what the distortion model does not explain.",
+                    "cells with a dozen points or more; an orderly pattern there is what the distortion model does not explain.",
                     "full",
                     "png",
                 ),
@@ -74,6 +77,7 @@ def section(calibration: CameraCalibration | None, warnings: tuple[StageWarning,
             )
         ),
         _views(calibration),
+        *overlay_blocks(contents, "camera"),
     ]
     return Section("camera", "Camera", "Camera", judgement, level, mine, tuple(blocks))
 
@@ -82,12 +86,22 @@ def _judge(calibration: CameraCalibration) -> tuple[str, Level]:
     n, used = len(calibration.views), sum(v.used for v in calibration.views)
     text = (
         f"{numbers.fixed(calibration.rms_px, 3)} px RMS over {used} of {numbers.plural(n, 'view')} (mean error "
-        f"{numbers.fixed(calibration.mean_error_px, 3)} px); good calibrations are below 0.1 to 0.3 px. "
-        "A small RMS alone does not make good parameters: see their standard uncertainties and the coverage."
+        f"{numbers.fixed(calibration.mean_error_px, 3)} px); good calibrations are below 0.1 to 0.3 px."
     )
-    if not np.isfinite(calibration.rms_px) or calibration.rms_px > 0.8:
+    u_focal = _relative_u_focal(calibration)
+    if u_focal is not None:
+        text += f" The focal length is known to {numbers.significant(100 * u_focal, 2)} % (k = 1)"
+        text += "; the views should determine it to 0.3 % or better." if u_focal > _GOOD_FOCAL else "."
+    if not np.isfinite(calibration.rms_px) or calibration.rms_px > 0.8 or (u_focal or 0.0) > _POOR_FOCAL:
         return text, "poor"
-    return text, "good" if calibration.rms_px <= 0.3 and used >= 0.8 * n and used >= 8 else "fair"
+    good = calibration.rms_px <= 0.3 and used >= 0.8 * n and (u_focal or 0.0) <= _GOOD_FOCAL
+    return text, "good" if good else "fair"
+
+
+def _relative_u_focal(calibration: CameraCalibration) -> float | None:
+    """Standard uncertainty of the focal length as a share of it."""
+    u = dict(zip(calibration.parameter_names, calibration.u_parameters, strict=True)).get("fx")
+    return float(u) / calibration.camera.fx if u is not None and np.isfinite(u) else None
 
 
 def _parameters(calibration: CameraCalibration) -> Table:

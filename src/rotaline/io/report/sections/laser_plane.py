@@ -97,9 +97,9 @@ def cross_ratio_section(contents: ReportContents, warnings: tuple[StageWarning, 
     after = result.measured_after_mm - result.reference_mm
     turn = float(np.clip(abs(result.plane_camera.normal @ result.plane_before_camera.normal), 0.0, 1.0))
     rows = (
-        ("interval RMSE", "mm", numbers.mm(result.rmse_before_mm), numbers.mm(result.rmse_after_mm)),
-        ("mean error", "mm", numbers.mm(_mean(before), signed=True), numbers.mm(_mean(after), signed=True)),
-        ("largest magnitude of an error", "mm", numbers.mm(_largest(before)), numbers.mm(_largest(after))),
+        ("interval RMSE", "µm", numbers.um(result.rmse_before_mm), numbers.um(result.rmse_after_mm)),
+        ("mean error", "µm", numbers.um(_mean(before), signed=True), numbers.um(_mean(after), signed=True)),
+        ("largest magnitude of an error", "µm", numbers.um(_largest(before)), numbers.um(_largest(after))),
         (
             "offset of the plane",
             "mm",
@@ -159,12 +159,12 @@ def _relative_rms(calibration: LaserPlaneCalibration) -> float | None:
 
 
 def _judge_cross_ratio(result: CrossRatioResult) -> tuple[str, Level]:
-    text = f"Interval RMSE {numbers.mm(result.rmse_before_mm)} → {numbers.mm(result.rmse_after_mm)} mm"
+    text = f"Interval RMSE {numbers.um(result.rmse_before_mm)} → {numbers.um(result.rmse_after_mm)} µm"
     if result.rmse_before_mm > 0:
         text += f" (reduced by {numbers.percent(1 - result.rmse_after_mm / result.rmse_before_mm)} %)"
-    text += "; the article reports 0.021 → 0.003 mm on its rig."
+    text += "; the article reports 21 → 3 µm on its rig."
     if not result.accepted:
-        return f"{text} The optimised plane is not used: {result.reason}", "fair"
+        return f"{text} The optimised plane is not used: {result.reason.rstrip('.')}.", "none"
     return f"{text} The optimised plane is used from here on.", "good" if result.converged else "fair"
 
 

@@ -3,7 +3,6 @@
 from rotaline.io.report.contents import FrameOverlay, ReportContents
 from rotaline.io.report.figures import frames
 from rotaline.io.report.page import Gallery, Picture, picture
-from rotaline.io.report.warnings import stage_key
 
 
 def overlay_blocks(contents: ReportContents, stage: str, capture: str = "") -> tuple[Gallery, ...]:
@@ -11,11 +10,13 @@ def overlay_blocks(contents: ReportContents, stage: str, capture: str = "") -> t
     chosen = [
         o
         for o in contents.overlays
-        if stage_key(o.stage) == stage and (not capture or o.name == capture or o.name.startswith(f"{capture}/"))
+        if o.stage == stage and (not capture or o.name == capture or o.name.startswith(f"{capture}/"))
     ]
     return (Gallery(tuple(_overlay(o) for o in chosen)),) if chosen else ()
 
 
 def _overlay(frame: FrameOverlay) -> Picture:
-    caption = f"{frame.name}: {frame.caption}" if frame.caption else frame.name
+    caption = frame.caption if frame.caption.startswith(frame.name) else f"{frame.name}: {frame.caption}"
+    if frames.brightened(frame.image)[1]:
+        caption += " (picture brightened)"
     return picture(lambda: frames.overlay(frame), caption, "third", "jpeg")

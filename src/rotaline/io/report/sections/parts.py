@@ -1,5 +1,7 @@
 """Scans, surfaces and fitted features on the page."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from rotaline.io.report import numbers
@@ -27,7 +29,7 @@ def scan_section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -
         if len(scan.cloud) == 0:
             blocks.append(Paragraph("This cloud has no points."))
         else:
-            blocks.append(_cloud_pictures(scan))
+            blocks.append(_cloud_pictures(scan, contents))
         blocks += overlay_blocks(contents, "scan", scan.folder) + overlay_blocks(contents, "stripe", scan.folder)
     return Section("scan", "Scans", "Scans", judgement, level, mine, tuple(blocks))
 
@@ -126,21 +128,25 @@ def _clouds(clouds: tuple[CloudSummary, ...]) -> Table:
     )
 
 
-def _cloud_pictures(scan: CloudSummary) -> Gallery:
+def _cloud_pictures(scan: CloudSummary, contents: ReportContents) -> Gallery:
+    table_seen = contents.calibration is not None and contents.calibration.table_seen
     thinned = ""
     if len(scan.cloud) < scan.n_points:
         thinned = f" {numbers.count(len(scan.cloud))} of {numbers.count(scan.n_points)} points are drawn."
+    views = picture(
+        lambda: figures.cloud_views(scan.cloud, table_seen),
+        f"{scan.folder}: the cloud from four viewpoints, coloured by height.{thinned} Doubled or torn surfaces are a sign of a wrong "
+        "axis or angle; single points off the surface are reflections.",
+        "full",
+        "png",
+    )
+    if scan.folder in {c.folder for c in contents.captures if c.role == "artifact"}:
+        return Gallery((views,))
     return Gallery(
         (
+            views,
             picture(
-                lambda: figures.cloud_views(scan.cloud),
-                f"{scan.folder}: the cloud from four viewpoints, coloured by height.{thinned} Doubled or torn surfaces are a sign of "
-                "a wrong axis or angle; single points off the surface are reflections.",
-                "full",
-                "png",
-            ),
-            picture(
-                lambda: figures.cloud_attributes(scan.cloud),
+                lambda: figures.cloud_attributes(scan.cloud, table_seen),
                 f"{scan.folder}: dark regions returned little light, and uncertain points are those with a dim, wide or slanting "
                 "stripe; the table angle shows which frames saw a region.",
                 "full",
@@ -223,8 +229,8 @@ def _fit(entry: MeasurementEntry, fitted: FittedPoints | None) -> list[Block]:
 
 
 def _geometry(measurement: FeatureMeasurement) -> str:
-    def text(value: float | list[float]) -> str:
-        if isinstance(value, list):
+    def text(value: float | Sequence[float]) -> str:
+        if isinstance(value, Sequence):
             return "(" + ", ".join(numbers.fixed(float(x), 4) for x in value) + ")"
         return numbers.fixed(float(value), 4)
 

@@ -18,6 +18,14 @@ _KIND_TITLES = {
     "step": "Step",
     "plane": "Plane",
 }
+_BEFORE_AND_AFTER = (
+    "The same scans, evaluated with the initial rotation axis (before) and with the axis optimised by the stepped cylinder "
+    "(after). Errors are value minus reference; averages are those of their magnitudes."
+)
+_ONE_AXIS = (
+    "Errors are value minus reference; averages are those of their magnitudes. There is only one axis, so there is no before "
+    "and after."
+)
 
 
 def section(contents: ReportContents) -> Section:
@@ -33,9 +41,10 @@ def section(contents: ReportContents) -> Section:
     n_failed = sum(e.measurement is None for e in entries)
     judgement, level = _judge(contents, n_failed)
     blocks: list[Block] = [_summary(entries)]
-    comparisons = _comparisons(entries, contents.measurements_initial_axis)
+    before = contents.measurements_initial_axis if contents.artifact is not None else ()
+    comparisons = _comparisons(entries, before)
     if comparisons:
-        blocks.append(Paragraph(_comparison_text(contents)))
+        blocks.append(Paragraph(_BEFORE_AND_AFTER if before else _ONE_AXIS))
         blocks += comparisons
     return Section(
         "results",
@@ -183,15 +192,6 @@ def _summary(entries: tuple[MeasurementEntry, ...]) -> Table:
         "the calibration are common to all points and not in it, so an error may well be larger than u. RMS: residuals of "
         "all points. Form error: their range without the outermost 0.5 % on either side.",
     )
-
-
-def _comparison_text(contents: ReportContents) -> str:
-    if contents.measurements_initial_axis:
-        return (
-            "The same scans, evaluated with the initial rotation axis (before) and with the axis optimised by the stepped "
-            "cylinder (after). Errors are value minus reference; averages are those of their magnitudes."
-        )
-    return "Errors are value minus reference; averages are those of their magnitudes. There is only one axis, so there is no before and after."
 
 
 def _comparisons(after: tuple[MeasurementEntry, ...], before: tuple[MeasurementEntry, ...]) -> list[Table]:
