@@ -33,7 +33,7 @@ class Sensor:
     black_level_dn: float = 2.0
     read_noise_dn: float = 0.6
     electrons_per_dn: float = 40.0
-    blur_px: float = 0.7
+    blur_px: float = 0.8
 
     def __post_init__(self) -> None:
         """Refuse bit depths that no file has."""
@@ -50,7 +50,7 @@ class Laser:
     plane_base : the middle of the sheet
     position_base : (3,)   where the light comes from, mm; a point of ``plane_base``
     sigma_mm : standard deviation of the profile across the sheet
-    peak_dn : grey value of a white surface that faces the laser
+    peak_dn : grey value of a white surface that faces the laser, before the blur of the lens
     speckle_contrast : standard deviation of the speckle, as a fraction of the signal
     speckle_grain_px : size of its grains (standard deviation of the smoothing)
     rgb : share of the light that the red, green and blue pixels see (a grey camera sees all)
@@ -58,8 +58,8 @@ class Laser:
 
     plane_base: Plane
     position_base: Float[np.ndarray, "3"]
-    sigma_mm: float = 0.2
-    peak_dn: float = 230.0
+    sigma_mm: float = 0.1
+    peak_dn: float = 360.0
     speckle_contrast: float = 0.1
     speckle_grain_px: float = 0.7
     rgb: tuple[float, float, float] = (1.0, 0.12, 0.05)
@@ -155,8 +155,8 @@ def build_rig(
     plane = Plane(normal, 0.7)
     start = middle + _standing(-camera_side * 22.0, 50.0, 240.0)
     start = start - plane.signed_distance_to(start[None])[0] * normal
-    # as narrow as the pixels can sample: a wide stripe is biased on curved surfaces
-    laser = Laser(plane, start, sigma_mm=0.9 * distance / focal)
+    # a wide stripe is biased on curved surfaces, one narrower than this would alias: the blur comes after the pixels
+    laser = Laser(plane, start, sigma_mm=0.6 * distance / focal)
     return Rig(camera, camera_from_base, laser, sensor, turn_sense)
 
 
