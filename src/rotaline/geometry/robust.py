@@ -60,7 +60,8 @@ def mad_scale(residuals: Float[np.ndarray, " n"]) -> float:
 
 def cauchy_weights(residuals: Float[np.ndarray, " n"], scale: float) -> Float[np.ndarray, " n"]:
     """Weights ``1 / (1 + (r / (2.385 scale))^2)`` of the squared residuals; ``scale`` as from ``mad_scale``."""
-    return 1.0 / (1.0 + (residuals / (CAUCHY * max(scale, 1e-300))) ** 2)
+    with np.errstate(over="ignore"):
+        return 1.0 / (1.0 + (residuals / (CAUCHY * max(scale, 1e-300))) ** 2)
 
 
 def fit_plane_robust(

@@ -74,7 +74,7 @@ def sample_consensus(
             needed = 3 * np.log(1 - CONFIDENCE) / np.log1p(-chance)
     if best is None:
         raise GeometryError(
-            f"No sample of {n_sample} of the {n} points makes a {shape}; they may coincide or lie too evenly."
+            f"No sample of {n_sample} of the {n} points makes a {shape}; they coincide, lie on a line, or do not face as it would."
         )
     inliers = np.concatenate(
         [score(best[None], np.arange(at, min(at + 65536, n)))[0] <= threshold for at in range(0, n, 65536)]
