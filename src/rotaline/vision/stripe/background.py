@@ -13,7 +13,7 @@ SIDE = 3.0  # the sides begin this many widths from the centre
 _BLURS_PX = (0.5, 1.0, 2.0)
 _EDGES = np.linspace(-3.6, 3.6, 19)  # widths
 _POOL, _EVERY = 60, 2  # points
-_SHAPE = 0.1  # part of a width, times step over stripe height: what is left open by the unknown shape of an edge
+_SHAPE = 0.06  # part of a width, times step over stripe height: what is left open by the unknown shape of an edge
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,41 +11,39 @@ _MOST = 6  # points taken from an end
 
 
 def sound_ends(chains: Chains, width_px: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """False for points at the ends of chains that do not continue what the next twelve points show.
+    """False for points at the ends of chains that do not continue what the piece shows further in.
 
     Beside a jump, at a corner and where a stripe stops, a profile holds light of two places. Such a point is wider or
-    narrower than its neighbours, or lies off the parabola through them. From each end at most six points are taken.
+    narrower than the twelve points further in, or lies off the parabola through them. An end is cut behind the last such
+    point among its outermost six.
     """
     keep = np.ones(len(chains), dtype=bool)
     for start, stop in chains.spans():
+        if stop - start < _MOST + _REFERENCE:
+            continue
         for order in (np.arange(start, stop), np.arange(start, stop)[::-1]):
-            for k in range(_MOST):
-                if len(order) < k + 1 + _REFERENCE:
-                    break
-                if _continues(chains.uv, width_px, order[k], order[k + 1 : k + 1 + _REFERENCE]):
-                    break
-                keep[order[k]] = False
+            end, reference = order[:_MOST], order[_MOST : _MOST + _REFERENCE]
+            unsound = np.flatnonzero(~_continue(chains.uv, width_px, end, reference))
+            keep[end[: unsound[-1] + 1 if len(unsound) else 0]] = False
     return keep
 
 
-def _continues(uv: np.ndarray, width_px: np.ndarray, point: int, reference: np.ndarray) -> bool:
-    """Whether a point has the width of the reference points and lies on the parabola through them."""
+def _continue(uv: np.ndarray, width_px: np.ndarray, end: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Whether points have the width of the reference points and lie on the parabola through them."""
     widths = width_px[reference]
     usual = np.median(widths)
-    tolerance = 0.06 * usual + 6.0 * np.median(np.abs(widths - usual))
-    if abs(width_px[point] - usual) > tolerance:
-        return False
-    origin, chord = uv[reference[0]], uv[reference[-1]] - uv[reference[0]]
-    chord = chord / np.hypot(chord[0], chord[1])
-    relative = uv[reference] - origin
-    along, across = relative @ chord, relative @ np.array([-chord[1], chord[0]])
+    alike = np.abs(width_px[end] - usual) <= 0.06 * usual + 6.0 * np.median(np.abs(widths - usual))
+    chord = uv[reference[-1]] - uv[reference[0]]
+    axes = np.array([chord, [-chord[1], chord[0]]]) / max(np.hypot(chord[0], chord[1]), 1e-9)
+    along, across = axes @ (uv[reference] - uv[reference[0]]).T
     design = np.column_stack([np.ones_like(along), along, along**2])
-    coefficients, *_ = np.linalg.lstsq(design, across)
-    scatter = float(np.sqrt(np.mean((across - design @ coefficients) ** 2)))
-    here = uv[point] - origin
-    t = here @ chord
-    expected = coefficients @ np.array([1.0, t, t * t])
-    return bool(abs(here @ np.array([-chord[1], chord[0]]) - expected) <= 0.1 + 8.0 * scatter)
+    inverse = np.linalg.pinv(design)
+    coefficients = inverse @ across
+    scatter = np.sqrt(np.mean((across - design @ coefficients) ** 2))
+    t, place = axes @ (uv[end] - uv[reference[0]]).T
+    beyond = np.column_stack([np.ones_like(t), t, t**2])
+    doubt = scatter * np.sqrt(1.0 + ((beyond @ inverse) ** 2).sum(axis=1))
+    return np.asarray(alike & (np.abs(place - beyond @ coefficients) <= 0.1 + 5.0 * doubt))
 
 
 def average_along(

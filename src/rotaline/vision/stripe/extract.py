@@ -51,6 +51,12 @@ class StripeOptions:
             "which leaves the centres nearly independent"
         },
     )
+    keep: Literal["all", "brightest"] = field(
+        default="all",
+        metadata={
+            "help": "all: every line; brightest: of several lines in a row (column) of the image only the strongest"
+        },
+    )
     min_length_px: float = field(default=10.0, metadata={"help": "shorter pieces of stripe are dropped, px"})
 
 
@@ -83,7 +89,8 @@ def extract_stripe(
     trace = trace_ridges(ridges, frame.planes[k], frame.clipped[k], options.min_length_px)
     if trace is None:
         return _empty()
-    return _measure(trace, frame.planes[k], frame.clipped[k], frame.unit, options)
+    points = _measure(trace, frame.planes[k], frame.clipped[k], frame.unit, options)
+    return points if options.keep == "all" else _brightest(points)
 
 
 def _measure(
@@ -207,6 +214,21 @@ def _inside(trace: Trace, image: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray,
     reach = trace.normal * 2.0 * trace.width_px[:, None]
     ends = np.stack([trace.chains.uv - reach, trace.chains.uv + reach])
     return np.asarray(((ends >= 0.0) & (ends <= top)).all(axis=(0, 2)))
+
+
+def _brightest(points: StripePoints) -> StripePoints:
+    """Of the points in one row (one column, where the stripe is flat) those of the strongest segment."""
+    if len(points) == 0:
+        return points
+    light = points.intensity * points.width_px
+    strength = np.bincount(points.segment, weights=light) / np.bincount(points.segment)
+    steep = np.sum(light * (np.abs(points.normal[:, 0]) - np.abs(points.normal[:, 1]))) > 0
+    line = np.rint(points.uv[:, 1 if steep else 0]).astype(np.int64)
+    best = np.zeros(line.max() - min(line.min(), 0) + 1)
+    np.maximum.at(best, line, strength[points.segment])
+    kept = points.select(strength[points.segment] >= best[line])
+    _, segment = np.unique(kept.segment, return_inverse=True)
+    return replace(kept, segment=segment.astype(np.int64))
 
 
 def _empty() -> StripePoints:

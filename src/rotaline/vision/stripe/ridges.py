@@ -110,12 +110,12 @@ def _candidates(
         low, middle, high = smooth[: -2 * r], smooth[r:-r], smooth[2 * r :]
     drop = np.maximum(low, high)
     np.subtract(middle, drop, out=drop)
-    sample = drop[::4, ::4] if drop.size > 65536 else drop
+    sample = drop[::5, ::5] if drop.size > 65536 else drop
     # the drop below the higher side has a negative mean; its upper tail tells the noise
     centre = np.median(sample)
     noise = 1.4826 * float(np.median(np.abs(sample - centre)))
     limit = max(contrast_floor, threshold * max(noise, 0.08))
-    rows, columns = np.nonzero(drop > limit)
+    rows, columns = np.divmod(np.flatnonzero(drop > limit), drop.shape[1])
     prominence = drop[rows, columns].astype(float)
     if steep:
         columns = columns + r

@@ -10,6 +10,7 @@ from rotaline.vision.stripe.profiles import Profiles, sample_profiles
 from rotaline.vision.stripe.trace import Trace
 
 _REACH = 3.0  # widths on either side
+_UNDECIDED = 0.15  # difference of the normal's components
 
 
 def cross_rows(
@@ -22,12 +23,13 @@ def cross_rows(
     trace : Trace   points on whole rows or columns, with profiles along the row or column and widths as seen there
     normal : (n, 2)   the stripe's own normals
     """
-    uv, chain, normal, axis, width = [], [], [], [], []
-    # which of the two suits the stripe is decided over some length, so that it does not change to and fro
-    balance = trace.chains.window_mean(np.abs(trace.normal[:, 0]) - np.abs(trace.normal[:, 1]), 10)
-    runs = 2 * trace.chains.chain + (balance >= 0)
+    uv: list[np.ndarray] = []
+    chain: list[np.ndarray] = []
+    normal, axis, width = [], [], []
+    steep = _steep(trace)
+    runs = 2 * trace.chains.chain + steep
     for start, stop in Chains(trace.chains.uv, np.cumsum(np.diff(runs, prepend=-1) != 0)).spans():
-        along = 1 if balance[start] >= 0 else 0
+        along = 1 if steep[start] else 0
         points = trace.chains.uv[start:stop]
         sense = 1.0 if points[-1, along] >= points[0, along] else -1.0
         line = np.maximum.accumulate(sense * points[:, along])
@@ -52,6 +54,14 @@ def cross_rows(
     wide = np.concatenate(width) / cosine
     profiles = sample_profiles(image, clipped, chains.uv, across, 4.0 * wide + 4.0)
     return Trace(chains, across, wide, profiles), own_normal
+
+
+def _steep(trace: Trace) -> Bool[np.ndarray, " n"]:
+    """True where rows suit the stripe better than columns; near 45 deg what held before goes on."""
+    balance = trace.chains.window_mean(np.abs(trace.normal[:, 0]) - np.abs(trace.normal[:, 1]), 10)
+    start, _ = trace.chains.bounds()
+    decided = np.where(np.abs(balance) > _UNDECIDED, np.arange(len(balance)), start)
+    return np.asarray(balance[np.maximum.accumulate(decided)] >= 0)
 
 
 def flat_centroid(profiles: Profiles, width_px: Float[np.ndarray, " n"], start_px: Float[np.ndarray, " n"]) -> Centres:
