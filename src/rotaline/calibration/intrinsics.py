@@ -22,6 +22,7 @@ from rotaline.calibration.homography import fit_homography, map_homography, pose
 from rotaline.calibration.model import CameraCalibration, CameraView, TargetView
 from rotaline.calibration.pose import estimate_board_pose
 from rotaline.calibration.reprojection import (
+    MAX_ITERATIONS,
     BoardObservation,
     BundleFit,
     Prior,
@@ -35,7 +36,8 @@ from rotaline.vision.camera import CameraModel
 
 MIN_VIEWS = 3
 _CAUCHY = 2.4
-_ROBUST_ROUNDS = 8
+_ROBUST_ROUNDS = 10
+_ROBUST_ITERATIONS = 4
 _REJECTION_ROUNDS = 6
 _RAYLEIGH_MEDIAN = 1.17741
 _SPREAD_RATIO = 2.0
@@ -92,8 +94,12 @@ def calibrate_camera(
     state = _start(views)
     _require_views(state, views)
     camera, poses = _find_start([s for s in state if not s.reason], image_size)
+    camera = camera if "k1" in names else replace(camera, k1=0.0)
     state = _assign_poses(state, poses)
     state, camera = _fit_robust(state, camera, names)
+    turned = _without_mirror_poses(state, camera)
+    if any(a.pose is not b.pose for a, b in zip(turned, state, strict=True)):
+        state, camera = _fit_robust(turned, camera, names)
     state, fit = _reject(state, views, camera, names, None, options)
     u_parameters, sigma_px, spread_ratio = _uncertainty(fit, state)
     warnings: list[str] = []
@@ -233,10 +239,21 @@ def _assign_poses(state: Sequence[_ViewState], poses: Sequence[RigidTransform]) 
     return [s if s.reason else replace(s, pose=next(remaining)) for s in state]
 
 
-def _refine(state: Sequence[_ViewState], camera: CameraModel, names: tuple[str, ...], prior: Prior | None) -> BundleFit:
+def _refine(
+    state: Sequence[_ViewState],
+    camera: CameraModel,
+    names: tuple[str, ...],
+    prior: Prior | None,
+    max_iterations: int = MAX_ITERATIONS,
+) -> BundleFit:
     active = [s for s in state if not s.reason]
     return refine_bundle(
-        camera, [s.pose for s in active if s.pose is not None], [s.observation for s in active], names, prior
+        camera,
+        [s.pose for s in active if s.pose is not None],
+        [s.observation for s in active],
+        names,
+        prior,
+        max_iterations,
     )
 
 
@@ -259,12 +276,33 @@ def _fit_robust(
         current = [
             s if s.reason else replace(s, observation=s.observation.with_weights(next(weighted))) for s in current
         ]
-        fit = _refine(current, camera, names, None)
+        fit = _refine(current, camera, names, None, _ROBUST_ITERATIONS)
         moved = abs(fit.camera.fx / camera.fx - 1)
         camera, current = fit.camera, _assign_poses(current, fit.poses)
-        if k > 1 and moved < 1e-6:
+        if k > 1 and moved < 1e-5:
             break
     return [replace(s, observation=s.observation.with_weights(np.ones(len(s.observation.uv)))) for s in current], camera
+
+
+def _without_mirror_poses(state: Sequence[_ViewState], camera: CameraModel) -> list[_ViewState]:
+    """Views that ended in the mirror image of their pose, put right (see :func:`estimate_board_pose`)."""
+    errors = {
+        k: float(np.median(np.linalg.norm(reprojection_residuals(camera, s.pose, s.observation), axis=1)))
+        for k, s in enumerate(state)
+        if not s.reason and s.pose is not None
+    }
+    typical = float(np.median(list(errors.values())))
+    turned = list(state)
+    for k, error in errors.items():
+        if error <= 2 * typical:
+            continue
+        try:
+            found = estimate_board_pose(camera, state[k].observation.points_board, state[k].observation.uv)
+        except GeometryError:
+            continue
+        if np.median(np.linalg.norm(found.residuals_px, axis=1)) < 0.5 * error:
+            turned[k] = replace(state[k], pose=found.camera_from_board)
+    return turned
 
 
 def _reject(
@@ -302,7 +340,7 @@ def _judge(state: Sequence[_ViewState], camera: CameraModel, options: CameraOpti
     judged = list(state)
     candidates: list[tuple[float, int, str]] = []
     for k, r in lengths.items():
-        keep = r < options.outlier_sigma * max(typical, min(scales[k], 2 * typical))
+        keep = r < options.outlier_sigma * max(typical, scales[k])
         rms = float(np.sqrt(np.mean(r[keep] ** 2))) / np.sqrt(2) if keep.any() else np.inf
         if scales[k] > options.view_outlier_ratio * typical or rms > options.view_outlier_ratio * typical:
             candidates.append(

@@ -9,6 +9,7 @@ References
 ----------
 .. [1] Li et al., Sensors 2026, 26(13), 4275, section 3.1, eq. (3)
 .. [2] Paule, Mandel, J. Res. NBS 87 (1982) 377 (scatter between groups)
+.. [3] Rissanen, Automatica 14 (1978) 465 (shortest description)
 """
 
 from collections.abc import Sequence
@@ -42,9 +43,6 @@ class LaserPlaneOptions:
         metadata={
             "help": "distance that stripe points keep from printed edges, in standard deviations of the stripe's profile"
         },
-    )
-    view_outlier_ratio: float = field(
-        default=4.0, metadata={"help": "views whose RMS distance is more than this many times the median are left out"}
     )
 
 
@@ -88,7 +86,9 @@ def calibrate_laser_plane(
             + ". Add poses at different distances, each with the laser off and on."
         )
     stripes = [p for p in placed if p is not None]
-    used, estimate = _fit_consistent(stripes, options.view_outlier_ratio)
+    used = _select_views(stripes)
+    chosen = [s for s, keep in zip(stripes, used, strict=True) if keep]
+    estimate = _fit_views(chosen, _plane_through(np.concatenate([_ends(s) for s in chosen])))
     _require_spread(stripes, used, estimate)
     results = []
     flags = dict(zip(present, used, strict=True))
@@ -143,48 +143,67 @@ class _Summary:
     by_plane: Float[np.ndarray, "2 3"]
 
 
-def _fit_consistent(stripes: Sequence[PlacedStripe], ratio: float) -> tuple[Bool[np.ndarray, " v"], _Estimate]:
-    """Start from the pair of views that most views agree with; keep the views that fit; fit to these."""
-    plane = _consensus_plane(stripes)
-    used = np.zeros(len(stripes), dtype=bool)
-    estimate: _Estimate | None = None
-    for _ in range(10):
-        now = _agreeing(stripes, plane, ratio)
-        if estimate is not None and np.array_equal(now, used):
-            break
-        used = now
-        estimate = _fit_views([s for s, keep in zip(stripes, used, strict=True) if keep], plane)
-        plane = estimate.plane
-    assert estimate is not None
-    return used, estimate
+def _select_views(stripes: Sequence[PlacedStripe]) -> Bool[np.ndarray, " v"]:
+    """The views that belong together: the shortest description of all views by a plane, a scatter and some strays [3]_.
+
+    A view that belongs costs ``2 log(scatter)``, a stray one ``2 log(extent)``, since it may lie anywhere. So a view is left
+    out when it is far off compared with what the others agree to, and when these are enough to say so: of three views none
+    is, of eight one that is ten times as far off as the others.
+    """
+    ends = np.stack([_ends(stripe) for stripe in stripes])
+    n_views = len(stripes)
+    extent = float(np.sqrt(np.mean(np.sum((ends - ends.mean(axis=(0, 1))) ** 2, axis=2))))
+    least = 0.1 * float(np.median([stripe.line_board.rms for stripe in stripes])) + 1e-9
+    plane = _consensus_plane(ends)
+    best, best_length = np.ones(n_views, dtype=bool), np.inf
+    for n in range(n_views, max(MIN_VIEWS, n_views // 2 + 1) - 1, -1):
+        current = plane
+        for _ in range(5):
+            chosen = np.zeros(n_views, dtype=bool)
+            chosen[np.argsort(_view_distances(ends, current), kind="stable")[:n]] = True
+            current = _plane_through(ends[chosen].reshape(-1, 3))
+        squares = float(np.sum(current.signed_distance_to(ends[chosen].reshape(-1, 3)) ** 2))
+        dof = 2 * n - 3
+        scatter = max(np.sqrt(squares / dof), least)
+        length = dof * np.log(scatter) + 2 * (n_views - n) * np.log(extent)
+        if length < best_length:
+            best, best_length = chosen, length
+    return best
 
 
-def _consensus_plane(stripes: Sequence[PlacedStripe]) -> Plane:
+def _ends(stripe: PlacedStripe) -> Float[np.ndarray, "2 3"]:
+    """Two points that stand for the stripe: on its line, at its rms length on either side of its middle."""
+    line = stripe.line_board
+    along = (stripe.xy_board - line.point) @ line.direction
+    xy = line.point + np.array([[-1.0], [1.0]]) * float(np.std(along)) * line.direction
+    return np.asarray(stripe.pose.camera_from_board.apply(np.column_stack([xy, np.zeros(2)])))
+
+
+def _view_distances(ends: Float[np.ndarray, "v 2 3"], plane: Plane) -> Float[np.ndarray, " v"]:
+    """RMS distance of each view's stripe from a plane, mm."""
+    return np.asarray(np.sqrt(np.mean((ends @ plane.normal + plane.offset) ** 2, axis=1)))
+
+
+def _plane_through(points: Float[np.ndarray, "n 3"]) -> Plane:
+    """Least-squares plane, also where the points lie on a line (then any plane through it)."""
+    centroid = points.mean(axis=0)
+    normal = np.linalg.svd(points - centroid, full_matrices=True)[2][2]
+    return _oriented(Plane(normal, -float(normal @ centroid)))
+
+
+def _consensus_plane(ends: Float[np.ndarray, "v 2 3"]) -> Plane:
     """The plane through two stripes from which the views' rms distance has the least median."""
-    ends = np.stack([s.points_camera[[0, len(s.points_camera) // 2, -1]] for s in stripes])
-    first, second = np.triu_indices(len(stripes), 1)
+    first, second = np.triu_indices(len(ends), 1)
     points = np.concatenate([ends[first], ends[second]], axis=1)
     centroids = points.mean(axis=1)
     _, singular, axes = np.linalg.svd(points - centroids[:, None])
     normals = axes[:, 2]
     distances = np.einsum("vij,kj->kvi", ends, normals) - np.einsum("ki,ki->k", centroids, normals)[:, None, None]
-    rms = np.sqrt(np.mean(distances**2, axis=2))
-    medians = np.median(rms, axis=1)
+    medians = np.median(np.sqrt(np.mean(distances**2, axis=2)), axis=1)
     # two stripes on (nearly) one line determine no plane: rather take another pair
     score = np.where(singular[:, 1] > 0.02 * singular[:, 0], medians, np.inf)
     best = int(np.argmin(score if np.isfinite(score).any() else medians))
     return _oriented(Plane(unit(normals[best]), -float(normals[best] @ centroids[best])))
-
-
-def _agreeing(stripes: Sequence[PlacedStripe], plane: Plane, ratio: float) -> Bool[np.ndarray, " v"]:
-    """Views that fit the plane; never fewer than more than half of them, nor fewer than two."""
-    rms = np.array([np.sqrt(np.mean(plane.signed_distance_to(s.points_camera) ** 2)) for s in stripes])
-    own = np.array([max(s.line_board.rms, 1e-9) for s in stripes])
-    limit = ratio * max(float(np.median(rms)), float(np.median(own)))
-    keep = rms <= limit
-    order = np.argsort(rms)
-    keep[order[: max(MIN_VIEWS, len(stripes) // 2 + 1)]] = True
-    return keep
 
 
 def _fit_views(stripes: Sequence[PlacedStripe], start: Plane) -> _Estimate:

@@ -21,8 +21,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.vision.camera import CameraModel
 
-_MAX_ITERATIONS = 60
+MAX_ITERATIONS = 60
 _DAMPING = 1e-6
+_ROUNDING = 1e-10
+"""Relative change of the sum of squares that no longer counts: far below a hundredth of a standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +176,7 @@ def refine_bundle(
     observations: Sequence[BoardObservation],
     names: Sequence[str],
     prior: Prior | None = None,
-    max_iterations: int = _MAX_ITERATIONS,
+    max_iterations: int = MAX_ITERATIONS,
 ) -> BundleFit:
     """Levenberg-Marquardt over the named camera parameters and all poses [2]_.
 
@@ -207,11 +209,13 @@ def refine_bundle(
             if trial_cost <= cost:
                 improved = True
                 break
+            if trial_cost - cost <= _ROUNDING * cost:
+                break
             damping = max(damping * 10, _DAMPING)
         if not improved:
-            converged = True  # no step, however short, goes down: the bottom to rounding
+            converged = True  # the bottom, to rounding
             break
-        small = cost - trial_cost <= 1e-12 * cost
+        small = cost - trial_cost <= _ROUNDING * cost
         state, current_poses, cost = trial, trial_poses, trial_cost
         damping = max(damping / 10, 1e-12)
         if small:

@@ -88,4 +88,4 @@ def test_a_row_of_points_is_refused() -> None:
     """A row leaves the turn about itself open."""
     points = TARGET.points_board()[:9]
     with pytest.raises(GeometryError, match="line"):
-        estimate_board_pose(CAMERA, points, camera.project(points + np.array([0.0, 0.0, 300.0])))
+        estimate_board_pose(CAMERA, points, CAMERA.project(points + np.array([0.0, 0.0, 300.0])))

@@ -1,0 +1,191 @@
+"""Camera calibration: what it refuses, leaves out and warns of."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rotaline.calibration.intrinsics import CameraOptions, calibrate_camera
+from rotaline.calibration.model import TargetView
+from rotaline.errors import CalibrationError
+from rotaline.simulation.observations import observe_target, random_board_poses
+from rotaline.vision.camera import CameraModel
+from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
+
+CAMERA = CameraModel((1280, 960), 2400.0, 2390.0, 645.0, 482.0, -0.11, 0.09, 0.0006, -0.0004)
+TARGET = Checkerboard((11, 9), 6.0)
+SIGMA = 0.03
+
+
+def views_of(poses: Sequence[RigidTransform], seed: int = 0, target: Target = TARGET) -> list[TargetView]:
+    """What a good detector sees."""
+    rng = np.random.default_rng(seed)
+    return [
+        TargetView(f"camera/{k:04d}.png", observe_target(CAMERA, pose, target, SIGMA, rng))
+        for k, pose in enumerate(poses)
+    ]
+
+
+def good_views(n: int = 10, seed: int = 0) -> list[TargetView]:
+    """Boards all over the image."""
+    rng = np.random.default_rng(seed)
+    return views_of(random_board_poses(CAMERA, TARGET, n, rng, spread=0.5, distance_mm=(200.0, 350.0)), seed)
+
+
+def with_uv(view: TargetView, uv: np.ndarray) -> TargetView:
+    """The view with other image points."""
+    return replace(view, detection=replace(view.detection, uv=uv))
+
+
+def test_good_views_give_no_warning() -> None:
+    """Ten tilted boards all over the image: nothing to complain about, and the residuals are the noise."""
+    result = calibrate_camera(good_views(), CAMERA.image_size)
+    assert result.warnings == ()
+    assert all(view.used and view.reason == "" for view in result.views)
+    assert result.rms_px == pytest.approx(SIGMA * np.sqrt(2), rel=0.05)
+    assert result.mean_error_px == pytest.approx(SIGMA * np.sqrt(np.pi / 2), rel=0.05)
+    assert result.parameter_names == ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+
+
+def test_half_turned_orders_change_nothing() -> None:
+    """A symmetric board may be read from either end."""
+    views = good_views()
+    turned = [with_uv(v, v.detection.uv[::-1].copy()) if k % 2 else v for k, v in enumerate(views)]
+    a, b = calibrate_camera(views, CAMERA.image_size), calibrate_camera(turned, CAMERA.image_size)
+    assert b.camera.fx == pytest.approx(a.camera.fx, rel=1e-6)
+    assert b.camera.cx == pytest.approx(a.camera.cx, rel=1e-6)
+
+
+def test_different_targets_work_together() -> None:
+    """A session may show a checkerboard and a dot plate to the same camera."""
+    rng = np.random.default_rng(3)
+    dots = DotGrid((7, 7), 8.0, 4.0)
+    views = good_views(5) + views_of(random_board_poses(CAMERA, dots, 5, rng, spread=0.4), 1, dots)
+    result = calibrate_camera(views, CAMERA.image_size)
+    assert all(view.used for view in result.views)
+    assert result.camera.fx == pytest.approx(CAMERA.fx, abs=4 * result.u_parameters[0])
+
+
+def test_bad_points_and_views_are_left_out_and_named() -> None:
+    """Glare on single points, a blurred image, rows and columns mixed up, a view of three points."""
+    rng = np.random.default_rng(4)
+    views = good_views(12)
+    views[1].detection.uv[[5, 60]] += 15.0
+    blurred = with_uv(views[4], views[4].detection.uv + rng.normal(0, 1.0, (99, 2)))
+    mixed = with_uv(views[7], views[7].detection.uv.reshape(9, 11, 2).transpose(1, 0, 2).reshape(-1, 2))
+    d = views[9].detection
+    short = replace(views[9], detection=replace(d, point_ids=d.point_ids[:3], uv=d.uv[:3]))
+    views[4], views[7], views[9] = blurred, mixed, short
+    result = calibrate_camera(views, CAMERA.image_size)
+    assert [k for k, view in enumerate(result.views) if not view.used] == [4, 7, 9]
+    assert "times that of the other views" in result.views[4].reason
+    assert "only 3 points" in result.views[9].reason
+    assert np.flatnonzero(np.isnan(result.views[1].residuals_px[:, 0])).tolist() == [5, 60]
+    text = "\n".join(result.warnings)
+    assert all(
+        name in text for name in ("camera/0001.png (2)", "camera/0004.png", "camera/0007.png", "camera/0009.png")
+    )
+    for name, value, u in zip(result.parameter_names, result.u_parameters, result.u_parameters, strict=True):
+        assert abs(getattr(result.camera, name) - getattr(CAMERA, name)) < 4 * max(value, u)
+
+
+def test_a_view_that_starts_mirrored_is_put_right() -> None:
+    """Among bad views, the start of a good one may be the mirror image of its pose; it is no outlier for that."""
+    rng = np.random.default_rng(0)
+    views = views_of(random_board_poses(CAMERA, TARGET, 12, rng, spread=0.4), 0)
+    mixed = with_uv(views[7], views[7].detection.uv.reshape(9, 11, 2).transpose(1, 0, 2).reshape(-1, 2))
+    views[7] = mixed
+    views[4] = with_uv(views[4], views[4].detection.uv + rng.normal(0, 1.0, (99, 2)))
+    result = calibrate_camera(views, CAMERA.image_size)
+    assert [k for k, view in enumerate(result.views) if not view.used] == [4, 7]
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_too_few_views_are_refused(n: int) -> None:
+    """The message says how many are needed."""
+    with pytest.raises(CalibrationError, match=f"at least 3 views .* found {n}"):
+        calibrate_camera(good_views(3)[:n], CAMERA.image_size)
+
+
+def test_boards_parallel_to_the_image_are_refused() -> None:
+    """They leave the focal length open; the message says so, and what to add."""
+    poses = [
+        RigidTransform.from_components([x, y, z], Rotation.from_rotvec([0.0, 0.0, roll]))
+        for x, y, z, roll in ((-30, -24, 300, 0.0), (-40, -20, 340, 0.1), (-20, -30, 320, 0.2), (-35, -25, 380, -0.1))
+    ]
+    with pytest.raises(CalibrationError, match=r"focal length open .* turned by 20 to 45 deg"):
+        calibrate_camera(views_of(poses), CAMERA.image_size)
+
+
+def test_few_small_boards_lean_on_what_lenses_look_like() -> None:
+    """Where the views do not give the principal point, it stays near the centre, and a warning says why."""
+    target = Checkerboard((6, 5), 4.0)
+    rng = np.random.default_rng(5)
+    poses = random_board_poses(CAMERA, target, 5, rng, spread=0.05, tilt_deg=(15.0, 25.0), distance_mm=(300.0, 310.0))
+    noisy = [TargetView(f"v{k}", observe_target(CAMERA, p, target, 0.3, rng)) for k, p in enumerate(poses)]
+    result = calibrate_camera(noisy, CAMERA.image_size)
+    free = calibrate_camera(noisy, CAMERA.image_size, CameraOptions(weak_parameters="free"))
+    assert any("do not determine the camera by themselves" in text for text in result.warnings)
+    assert any("Weakly determined" in text for text in free.warnings)
+    assert any("Only 5 views" in text for text in result.warnings)
+    assert any("Poor coverage" in text for text in result.warnings)
+    width, height = CAMERA.image_size
+    assert np.hypot(result.camera.cx - (width - 1) / 2, result.camera.cy - (height - 1) / 2) < 0.06 * np.hypot(
+        width, height
+    )
+    assert result.u_parameters[2] < 0.03 * np.hypot(width, height)
+    assert abs(result.camera.fx - CAMERA.fx) < 4 * result.u_parameters[0]
+
+
+def test_little_tilt_is_a_warning() -> None:
+    """Boards all turned by less than 10 deg."""
+    poses = random_board_poses(CAMERA, TARGET, 12, np.random.default_rng(6), tilt_deg=(4.0, 9.0), spread=0.4)
+    result = calibrate_camera(views_of(poses), CAMERA.image_size)
+    assert any("Poor tilt" in text for text in result.warnings)
+
+
+def test_parallel_boards_are_a_warning() -> None:
+    """Boards tilted, but all in the same way."""
+    rotation = Rotation.from_rotvec([0.5, 0.2, 0.0])
+    poses = [
+        RigidTransform.from_components([x, y, z], rotation)
+        for x, y, z in (
+            (-30, -24, 300),
+            (-70, -40, 320),
+            (-10, -50, 330),
+            (-20, 0, 350),
+            (-60, 5, 340),
+            (-30, -20, 380),
+        )
+    ]
+    result = calibrate_camera(views_of(poses), CAMERA.image_size)
+    assert any("parallel to within 0 deg" in text for text in result.warnings)
+
+
+def test_a_bent_target_enlarges_the_standard_deviations() -> None:
+    """A target that is not flat disturbs every view in its own way: the views disagree more than their noise explains."""
+    rng = np.random.default_rng(7)
+    points = TARGET.points_board()
+    bent = points + np.outer(0.0006 * ((points[:, 0] - 30) ** 2 - 300), [0.0, 0.0, 1.0])
+    views = []
+    for k, pose in enumerate(random_board_poses(CAMERA, TARGET, 12, rng, spread=0.3)):
+        detection = observe_target(CAMERA, pose, TARGET, 0.0, rng)
+        uv = CAMERA.project(pose.apply(bent)) + 0.02 * rng.standard_normal((len(bent), 2))
+        views.append(TargetView(f"v{k}", replace(detection, uv=uv)))
+    result = calibrate_camera(views, CAMERA.image_size)
+    assert any("may not be flat" in text for text in result.warnings)
+    assert result.u_parameters[0] > 2 * calibrate_camera(good_views(12), CAMERA.image_size).u_parameters[0]
+
+
+@pytest.mark.parametrize(
+    ("distortion", "names"),
+    [("none", ()), ("k1", ("k1",)), ("k1k2", ("k1", "k2")), ("k1k2p1p2k3", ("k1", "k2", "p1", "p2", "k3"))],
+)
+def test_distortion_terms_are_those_asked_for(distortion: str, names: tuple[str, ...]) -> None:
+    """Terms that are not asked for stay zero."""
+    result = calibrate_camera(good_views(), CAMERA.image_size, CameraOptions(distortion=distortion))
+    assert result.parameter_names[4:] == names
+    for name in {"k1", "k2", "p1", "p2", "k3"} - set(names):
+        assert getattr(result.camera, name) == 0.0
