@@ -106,7 +106,7 @@ def _pose_of_least_mean_distance(model: CircleModel, unknowns: Float[np.ndarray,
         typical = float(np.median(distance))
         root = np.repeat(1.0 / np.sqrt(np.maximum(distance, 1e-3 * typical + 1e-9)), 2)
         system = slopes[:, :, N_AXIS:].reshape(root.size, -1) * root[:, None]
-        step = _solve_linear(system, -root * residuals.ravel())
+        step = solve_in_blocks(system, -root * residuals.ravel())
         best[N_AXIS:] += step
         if np.abs(step).max() <= 1e-4 * typical + 1e-12:
             break
@@ -128,7 +128,7 @@ def _minimise_squares(
         residuals, slopes = model.residuals_with_slopes(unknowns)
         root = 1.0 / np.sqrt(1.0 + (residuals / scale) ** 2).ravel()
         system = slopes.reshape(root.size, -1)[:, first_free:] * root[:, None]
-        step = _solve_linear(system, -root * residuals.ravel())
+        step = solve_in_blocks(system, -root * residuals.ravel())
         unknowns[first_free:] += step
         history.append(model.mean_distance_with_slope(unknowns)[0])
         size = float(np.abs(step).max())
@@ -139,7 +139,7 @@ def _minimise_squares(
     return unknowns, history, False
 
 
-def _solve_linear(system: Float[np.ndarray, "n q"], right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " q"]:
+def solve_in_blocks(system: Float[np.ndarray, "n q"], right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " q"]:
     """Shortest least-squares solution, by orthogonal factorisation.
 
     The rows are factorised in blocks, then the factors: blocks this small are not worth a second core, and calls that ask

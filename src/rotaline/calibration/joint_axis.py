@@ -14,13 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rotaline.calibration.axis_minimisation import solve_in_blocks
 from rotaline.geometry.primitives import Line
 from rotaline.geometry.robust import CAUCHY, mad_scale
 from rotaline.geometry.transforms import rotate_about_line
 from rotaline.vision.camera import CameraModel
+
+_MAX_ITERATIONS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +76,18 @@ def fit_axis_to_views(
         points_camera = turned.apply(points - middle) + start_centre + x[7:10]
         return (camera.project(rotate_about_line(points_camera, axis(x), turn)) - uv).ravel()
 
-    x, scale = np.zeros(10), 1.0
-    for _ in range(3):
-        scale = CAUCHY * max(mad_scale(residuals(x)), 1e-6)
-        fit = least_squares(residuals, x, loss="cauchy", f_scale=scale, x_scale=1.0, xtol=1e-12, ftol=1e-12)
-        x = fit.x
+    x = np.zeros(10)
+    for _ in range(_MAX_ITERATIONS):
+        errors = residuals(x).reshape(-1, 2)
+        jacobian = _slopes(residuals, x).reshape(-1, 2, 10)
+        scale = CAUCHY * max(mad_scale(errors.ravel()), 1e-9)
+        weight = 1.0 / (1.0 + (errors / scale) ** 2)
+        root = np.sqrt(weight)
+        step = solve_in_blocks((jacobian * root[..., None]).reshape(-1, 10), -(errors * root).ravel())
+        x = x + step
+        if np.abs(step).max() < 1e-6:
+            break
 
-    errors = residuals(x).reshape(-1, 2)
-    weight = 1.0 / (1.0 + (errors / scale) ** 2)
-    jacobian = _slopes(residuals, x).reshape(-1, 2, 10)
     stiffness = weight**2 * (1.0 - (errors / scale) ** 2)
     inverse = np.linalg.pinv(np.einsum("nap,na,naq->pq", jacobian, stiffness, jacobian), hermitian=True)
     sums = np.zeros((len(frames), 10))

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.calibration.circle_centre import CircleFits, fit_circles_by_chords
-from rotaline.calibration.joint_axis import TurnedBoard, fit_axis_to_views
+from rotaline.calibration.joint_axis import JointAxis, TurnedBoard, fit_axis_to_views
 from rotaline.calibration.model import AxisCalibration, AxisFrame, TargetView
 from rotaline.calibration.pose import estimate_board_pose
 from rotaline.calibration.turntable_motion import TurntableMotion, find_turntable_motion
@@ -33,6 +33,10 @@ MIN_FRAMES = 3
 """Three positions make a circle."""
 
 _MAX_GROUPS = 30
+_MAX_CHECKED = 1500
+"""Points on which frames that do not belong are found."""
+
+_CLEAR_MISFIT_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ class AxisOptions:
     outlier_factor: float = field(
         default=5.0,
         metadata={
-            "help": "frames whose points lie further from their circles than this many times the median are left out"
+            "help": "frames whose points lie further from the common rotation than this many times the median are left out"
         },
     )
     scale_tolerance: float = field(
@@ -87,15 +91,18 @@ def calibrate_axis(
     _require(frames)
     frames, motion = _settle_order(frames)
     _require(frames)
-    frames, corners, circles, ids = _leave_out_misfits(frames, options.outlier_factor)
+    frames = _leave_out_misfits(camera, frames, motion.direction_camera, options.outlier_factor)
     _require(frames)
+    corners, circles, ids = _fit_circles(frames)
 
     line = _line_through_centres(circles, motion.direction_camera)
     up, warnings = _upwards(line.axis.direction)
     axis = _nearest_to_optical_axis(Line(line.axis.point, up))
     turn_sense = 1 if float(motion.direction_camera @ up) > 0 else -1
     if options.method == "joint":
-        axis, u_direction, u_position = _fit_to_views(camera, frames, axis, turn_sense)
+        joint = _fit_to_views(camera, [frame for frame in frames if not frame.reason], axis, turn_sense)
+        axis = _nearest_to_optical_axis(joint.axis_camera)
+        u_direction, u_position = joint.u_direction_rad, joint.u_position_mm
     else:
         u_direction, u_position = _jackknife(corners, circles, motion.direction_camera, axis)
     warnings += _warnings(frames, motion, line, options)
@@ -219,40 +226,48 @@ def _orders(frame: _Frame) -> list[tuple[Int[np.ndarray, " n"], RigidTransform]]
     return orders
 
 
-def _leave_out_misfits(
-    frames: Sequence[_Frame], factor: float
-) -> tuple[list[_Frame], Float[np.ndarray, "f m 3"], CircleFits, Int[np.ndarray, " m"]]:
-    """Circles of the points, without the frames whose points lie far from them."""
-    settled = list(frames)
-    while True:
-        used = sorted((f for f, frame in enumerate(settled) if not frame.reason), key=lambda f: settled[f].turned_rad)
-        ids, counts = np.unique(np.concatenate([settled[f].point_ids for f in used]), return_counts=True)
-        ids = ids[counts >= max(MIN_FRAMES, len(used) // 3)]
-        if len(used) < MIN_FRAMES or len(ids) == 0:
-            raise CalibrationError(
-                f"No point of the target is seen in {MIN_FRAMES} frames that fit one rotation. Add frames in which the "
-                "same part of the target is in view."
-            )
-        corners = np.stack([settled[f].corners(ids) for f in used])
-        circles = fit_circles_by_chords(corners)
-        fitted = np.isfinite(circles.rms_mm)
-        if not fitted.any():
-            raise CalibrationError(
-                "The points of the target hardly move between the frames. Add frames at other angles."
-            )
-        ids, corners = ids[fitted], corners[:, fitted]
-        circles = CircleFits(
-            circles.centres[fitted], circles.normals[fitted], circles.radii_mm[fitted], circles.rms_mm[fitted]
+def _fit_circles(
+    frames: Sequence[_Frame],
+) -> tuple[Float[np.ndarray, "f m 3"], CircleFits, Int[np.ndarray, " m"]]:
+    """Circles of all points that enough frames show; corners in the order of the turn."""
+    used = sorted((frame for frame in frames if not frame.reason), key=lambda frame: frame.turned_rad)
+    ids, counts = np.unique(np.concatenate([frame.point_ids for frame in used]), return_counts=True)
+    ids = ids[counts >= max(MIN_FRAMES, len(used) // 3)]
+    if len(ids) == 0:
+        raise CalibrationError(
+            f"No point of the target is seen in {MIN_FRAMES} frames that fit one rotation. Add frames in which the same part "
+            "of the target is in view."
         )
-        squares = circles.distances(corners) ** 2
-        distance = np.sqrt(np.nansum(squares, axis=1) / np.maximum(np.isfinite(squares).sum(axis=1), 1))
-        worst = int(np.argmax(distance))
-        others = float(np.median(np.delete(distance, worst)))
-        if distance[worst] <= max(factor * others, 1e-6) or len(used) <= MIN_FRAMES:
-            return settled, corners, circles, ids
-        settled[used[worst]] = replace(
-            settled[used[worst]],
-            reason=f"its points lie {distance[worst]:.3f} mm from their circles, in the other frames {others:.3f} mm",
+    corners = np.stack([frame.corners(ids) for frame in used])
+    fitted = np.isfinite(fit_circles_by_chords(corners).rms_mm)
+    if not fitted.any():
+        raise CalibrationError("The points of the target hardly move between the frames. Add frames at other angles.")
+    return corners[:, fitted], fit_circles_by_chords(corners[:, fitted]), ids[fitted]
+
+
+def _leave_out_misfits(
+    camera: CameraModel, frames: Sequence[_Frame], direction_camera: Float[np.ndarray, "3"], factor: float
+) -> list[_Frame]:
+    """Frames marked whose points are not where one rotation of the board puts them.
+
+    The joint fit of all images judges: it is robust, and knows better than circles through single poses.
+    """
+    _, circles, _ = _fit_circles(frames)
+    axis = _line_through_centres(circles, direction_camera).axis
+    checked = list(frames)
+    while True:
+        used = [f for f, frame in enumerate(checked) if not frame.reason]
+        if len(used) <= MIN_FRAMES:
+            return checked
+        joint = _fit_to_views(camera, [checked[f] for f in used], axis, 1, _MAX_CHECKED)
+        worst = int(np.argmax(joint.frame_rms_px))
+        others = float(np.median(np.delete(joint.frame_rms_px, worst)))
+        if joint.frame_rms_px[worst] <= max(factor * others, _CLEAR_MISFIT_PX):
+            return checked
+        checked[used[worst]] = replace(
+            checked[used[worst]],
+            reason=f"its points lie {joint.frame_rms_px[worst]:.1f} px from where the rotation of the other frames puts them "
+            f"(theirs {others:.2f} px)",
         )
 
 
@@ -296,19 +311,21 @@ def _nearest_to_optical_axis(axis: Line) -> Line:
 
 
 def _fit_to_views(
-    camera: CameraModel, frames: Sequence[_Frame], axis: Line, turn_sense: int
-) -> tuple[Line, float, float]:
-    """The axis that explains the images of all frames best, and its standard uncertainties."""
-    used = sorted((frame for frame in frames if not frame.reason), key=lambda frame: frame.turned_rad)
-    start = used[len(used) // 2]
+    camera: CameraModel, frames: Sequence[_Frame], axis: Line, turn_sense: int, max_points: int | None = None
+) -> JointAxis:
+    """The axis that explains the images of all frames best; with ``max_points`` from a part of the points."""
+    n_points = sum(len(frame.point_ids) for frame in frames)
+    some = slice(None, None, 1 if max_points is None else max(1, -(-n_points // max_points)))
+    start = sorted(frames, key=lambda frame: frame.turned_rad)[len(frames) // 2]
     boards = [
         TurnedBoard(
-            frame.target.points_board()[frame.point_ids], frame.uv, turn_sense * (frame.angle_rad - start.angle_rad)
+            frame.target.points_board()[frame.point_ids[some]],
+            frame.uv[some],
+            turn_sense * (frame.angle_rad - start.angle_rad),
         )
-        for frame in used
+        for frame in frames
     ]
-    joint = fit_axis_to_views(camera, boards, axis, start.camera_from_board)
-    return _nearest_to_optical_axis(joint.axis_camera), joint.u_direction_rad, joint.u_position_mm
+    return fit_axis_to_views(camera, boards, axis, start.camera_from_board)
 
 
 def _jackknife(

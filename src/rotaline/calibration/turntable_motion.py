@@ -62,6 +62,8 @@ def find_turntable_motion(
     chosen = None
     for scaled in (False, True):
         for i, j in _pairs(angles_rad):
+            if best[0] == n_frames:
+                break
             step = float(_wrap(angles_rad[j] - angles_rad[i]))
             for turn in matrices_of[j] @ matrices_of[i][0].T:
                 vector = Rotation.from_matrix(turn).as_rotvec()
@@ -86,7 +88,7 @@ def find_turntable_motion(
     return TurntableMotion(direction, order, fits, turned, slope, u_slope)
 
 
-def _wrap(angle: Float[np.ndarray, " n"] | float) -> Float[np.ndarray, " n"]:
+def _wrap(angle: Float[np.ndarray, "..."] | float) -> Float[np.ndarray, "..."]:
     """The same angle between -pi and pi."""
     return np.asarray(np.angle(np.exp(1j * np.asarray(angle))))
 
