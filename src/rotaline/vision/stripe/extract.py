@@ -24,6 +24,7 @@ Channel = Literal["auto", "red", "green", "blue"]
 Colour = Literal["auto", "red", "green", "blue", "none"]
 
 _WINDOWS = (1.0, 1.5, 2.0)
+_WIDTH_RATIO = 2.2
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,9 @@ def extract_stripe(
         If the two images differ in shape or type.
     """
     frame = split_frame(image, background)
-    ridges = find_stripe(frame, options.laser_colour, options.threshold, options.min_contrast, options.min_length_px)
+    ridges, crowded = find_stripe(
+        frame, options.laser_colour, options.threshold, options.min_contrast, options.min_length_px
+    )
     if not ridges:
         return _empty()
     k = measuring_plane(frame, options.channel, ridges)
@@ -90,6 +93,8 @@ def extract_stripe(
     if trace is None:
         return _empty()
     points = _measure(trace, frame.planes[k], frame.clipped[k], frame.unit, options)
+    if crowded:
+        points = _of_one_width(points)
     return points if options.keep == "all" else _brightest(points)
 
 
@@ -216,6 +221,24 @@ def _inside(trace: Trace, image: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray,
     return np.asarray(((ends >= 0.0) & (ends <= top)).all(axis=(0, 2)))
 
 
+def _of_one_width(points: StripePoints) -> StripePoints:
+    """Without the segments that are much wider or narrower than most of the stripe: other things in the scene."""
+    if len(points) == 0:
+        return points
+    count = np.bincount(points.segment)
+    width = np.array([np.median(points.width_px[points.segment == k]) for k in range(len(count))])
+    order = np.argsort(width)
+    usual = width[order][np.searchsorted(np.cumsum(count[order]), 0.5 * count.sum())]
+    fits = (width > usual / _WIDTH_RATIO) & (width < usual * _WIDTH_RATIO)
+    return _renumber(points.select(fits[points.segment]))
+
+
+def _renumber(points: StripePoints) -> StripePoints:
+    """Segments numbered from 0 without gaps."""
+    _, segment = np.unique(points.segment, return_inverse=True)
+    return replace(points, segment=segment.astype(np.int64))
+
+
 def _brightest(points: StripePoints) -> StripePoints:
     """Of the points in one row (one column, where the stripe is flat) those of the strongest segment."""
     if len(points) == 0:
@@ -226,9 +249,7 @@ def _brightest(points: StripePoints) -> StripePoints:
     line = np.rint(points.uv[:, 1 if steep else 0]).astype(np.int64)
     best = np.zeros(line.max() - min(line.min(), 0) + 1)
     np.maximum.at(best, line, strength[points.segment])
-    kept = points.select(strength[points.segment] >= best[line])
-    _, segment = np.unique(kept.segment, return_inverse=True)
-    return replace(kept, segment=segment.astype(np.int64))
+    return _renumber(points.select(strength[points.segment] >= best[line]))
 
 
 def _empty() -> StripePoints:

@@ -20,7 +20,8 @@ CHANNELS = ("red", "green", "blue")
 _CORE_PX = 25  # a saturated core up to this wide is filled
 _WHITE = 0.85  # of the range: what is brighter in all channels has lost its colour
 _CLEAR = 6.0  # grey values of an 8 bit image: prominence of a ridge in colour that things in a room hardly reach
-_AMBIENT = 16.0  # grey values of an 8 bit image; above it the scene itself is seen
+_CROWD = 20  # ridges; a stripe alone makes fewer
+_CROWD_PART, _CROWD_SHARE, _FAINT_PART = 0.25, 0.04, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +33,11 @@ class Frame:
     planes : 1 or 3 of (h, w)   grey values
     clipped : same number, (h, w) or None   pixels at the top of the range
     unit : float   one grey value of an 8 bit image, in the image's grey values (1 or 257)
-    ambient : bool   the scene is lit, so that other things than the stripe are seen
     """
 
     planes: tuple[Float32[np.ndarray, "h w"], ...]
     clipped: tuple[Bool[np.ndarray, "h w"] | None, ...]
     unit: float
-    ambient: bool
 
 
 def split_frame(image: Image, background: Image | None) -> Frame:
@@ -77,8 +76,7 @@ def split_frame(image: Image, background: Image | None) -> Frame:
         clipped.append(top_pixels if top_pixels.any() else None)
         plane = source.astype(np.float32)
         planes.append(plane if ground is None else cv2.scaleAdd(ground.astype(np.float32), -scale, plane))
-    ambient = background is None and max(float(np.median(s[::5, ::5])) for s in sources) > _AMBIENT * unit
-    return Frame(tuple(planes), tuple(clipped), unit, ambient)
+    return Frame(tuple(planes), tuple(clipped), unit)
 
 
 def score_images(frame: Frame, colour: str) -> dict[str, Float32[np.ndarray, "h w"]]:
@@ -112,12 +110,19 @@ def _fill_core(frame: Frame, score: np.ndarray) -> np.ndarray:
     return np.where(near_white > 0, np.maximum(score, closed), score)
 
 
-def find_stripe(frame: Frame, colour: str, threshold: float, min_contrast: float, min_length_px: float) -> list[Ridge]:
+def find_stripe(
+    frame: Frame, colour: str, threshold: float, min_contrast: float, min_length_px: float
+) -> tuple[list[Ridge], bool]:
     """The ridges of the score image that shows the strongest, see :func:`score_images`.
 
     Any colour with a clear ridge goes before grey, since the things in a room make strong ridges in grey but weak ones in
-    colour. In a lit scene without a background frame only ridges with a quarter of the prominence of the strongest and a
-    twenty-fifth of its strength stay.
+    colour. A frame with many ridges shows the scene itself; then only those stay that have a quarter of the prominence of
+    the strongest one and a twenty-fifth of its strength. Elsewhere a fiftieth of the prominence is enough.
+
+    Returns
+    -------
+    ridges : list of Ridge
+    crowded : bool   the frame shows the scene itself
     """
     best: list[Ridge] = []
     best_strength = 0.0
@@ -132,10 +137,13 @@ def find_stripe(frame: Frame, colour: str, threshold: float, min_contrast: float
             clear |= len(strongest.uv) * strongest.scale_px >= 3.0 * min_length_px and bool(
                 np.median(strongest.prominence) >= _CLEAR * frame.unit
             )
-    if frame.ambient and best:
-        usual = float(np.median(max(best, key=_strength).prominence))
-        best = [r for r in best if np.median(r.prominence) > 0.25 * usual and _strength(r) > 0.04 * best_strength]
-    return best
+    if not best:
+        return best, False
+    usual = float(np.median(max(best, key=_strength).prominence))
+    crowded = len(best) > _CROWD
+    part, share = (_CROWD_PART, _CROWD_SHARE) if crowded else (_FAINT_PART, 0.0)
+    best = [r for r in best if np.median(r.prominence) > part * usual and _strength(r) > share * best_strength]
+    return best, crowded
 
 
 def _strength(ridge: Ridge) -> float:

@@ -13,6 +13,7 @@ from rotaline.vision.stripe.ridges import Ridge
 
 _WINDOW = 6  # points on either side that settle the direction
 _JOIN_PX = 6.0
+_BOTH_SIDES = 0.2  # least fall to the higher side, part of the fall to the lower side
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.6, 20.0
 
 
@@ -53,7 +54,9 @@ def trace_ridges(
     """
     if not ridges:
         return None
-    chains, width = _start(ridges)
+    chains, width = _start(ridges, value, clipped)
+    if len(chains) == 0:
+        return None
     least = max(4, int(min_length_px))
     for k in range(n_passes):
         _, tangent = local_lines(chains, _WINDOW, 0.3)
@@ -97,8 +100,10 @@ def alike(chains: Chains, width_px: Float[np.ndarray, " n"], tolerance: float) -
     return np.asarray(deviation <= tolerance * usual + 4.0 * chains.window_median(deviation, 20))
 
 
-def _start(ridges: list[Ridge]) -> tuple[Chains, Float[np.ndarray, " n"]]:
-    """The ridges as chains of points one pixel apart, and a first guess of the widths."""
+def _start(
+    ridges: list[Ridge], value: Float32[np.ndarray, "h w"], clipped: Bool[np.ndarray, "h w"] | None
+) -> tuple[Chains, Float[np.ndarray, " n"]]:
+    """The ridges as chains of points one pixel apart, near the top of the profile, and a first guess of the widths."""
     coarse = Chains(
         np.concatenate([ridge.uv for ridge in ridges]),
         np.concatenate([np.full(len(ridge.uv), k, dtype=np.int64) for k, ridge in enumerate(ridges)]),
@@ -107,7 +112,59 @@ def _start(ridges: list[Ridge]) -> tuple[Chains, Float[np.ndarray, " n"]]:
     smooth, _ = local_lines(coarse, 2, 0.3)
     fine = (scale == 1.0)[coarse.chain]
     chains = resample(Chains(np.where(fine[:, None], coarse.uv, smooth), coarse.chain))
-    return chains, 1.5 * scale[chains.chain]
+    width = 1.5 * scale[chains.chain]
+    wide = scale[chains.chain] > 1.0
+    if wide.any():
+        part = Chains(chains.uv[wide], chains.chain[wide])
+        _, tangent = local_lines(part, _WINDOW, 0.3)
+        normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+        shift, width[wide], stands = _half_maximum(part, normal, value, clipped, width[wide])
+        uv, keep = chains.uv.copy(), ~wide
+        uv[wide] += normal * shift[:, None]
+        keep[wide] = stands
+        chains, width = Chains(uv[keep], chains.chain[keep]), width[keep]
+    return chains, width
+
+
+def _half_maximum(
+    chains: Chains,
+    normal: Float[np.ndarray, "n 2"],
+    value: Float32[np.ndarray, "h w"],
+    clipped: Bool[np.ndarray, "h w"] | None,
+    width_px: Float[np.ndarray, " n"],
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Middle and standard deviation of the part of each profile above half its height, both averaged along the chain.
+
+    A ridge that was found in another image, or in a smaller one, may lie beside the top and say little about the width.
+    The third value is False where there is no such top: the profile falls to one side only, as at an edge.
+    """
+    profiles = sample_profiles(value, clipped, chains.uv, normal, 3.0 * width_px)
+    d = profiles.offset_px
+    p = np.where(profiles.valid, profiles.value, np.nan)
+    near = np.abs(d) <= 0.8 * width_px[:, None]
+    n = np.arange(len(d))
+    with np.errstate(invalid="ignore"):
+        top = np.argmax(np.where(near & profiles.valid, p, -np.inf), axis=1)
+        column = np.arange(d.shape[1])
+        left = np.where((column <= top[:, None]) & profiles.valid, p, np.inf).min(axis=1)
+        right = np.where((column >= top[:, None]) & profiles.valid, p, np.inf).min(axis=1)
+        base = np.maximum(left, right)
+        peak = p[n, top]
+        stands = peak - base > _BOTH_SIDES * (peak - np.minimum(left, right))
+        above = p > (0.5 * (peak + base))[:, None]
+    spacing = 1.0 / np.abs(normal).max(axis=1)
+    low, high = top.copy(), top.copy()
+    for _ in range(d.shape[1]):
+        further = (low > 0) & above[n, np.maximum(low - 1, 0)]
+        low = np.where(further, low - 1, low)
+        beyond = (high < d.shape[1] - 1) & above[n, np.minimum(high + 1, d.shape[1] - 1)]
+        high = np.where(beyond, high + 1, high)
+        if not (further | beyond).any():
+            break
+    shift = chains.window_median(0.5 * (d[n, low] + d[n, high]), 6)
+    full = chains.window_median((high - low + 1) * spacing, 10)
+    mostly = chains.window_mean(stands.astype(float), 6) > 0.5
+    return shift, np.clip(full / 2.355, _LEAST_WIDTH_PX, 2.0 * width_px), mostly
 
 
 def _carry(old: Chains, values: np.ndarray, new: Chains) -> np.ndarray:
