@@ -113,7 +113,7 @@ class GridMap:
 
 
 def _degree(n_points: int) -> int:
-    for degree, needed in ((5, 120), (3, 20), (2, 10)):
+    for degree, needed in ((5, 120), (3, 16), (2, 10)):
         if n_points >= needed:
             return degree
     return 0
