@@ -134,7 +134,7 @@ def picture(
 def finished(sections: Sequence[Section]) -> tuple[Section, ...]:
     """The sections with their figures and tables numbered in the order of the page.
 
-    A section with a serious warning is marked as poor, whatever its figures say.
+    A section with warnings is not marked as good, one with a serious warning is marked as poor, whatever its figures say.
     """
     figures, tables = 0, 0
     out = []
@@ -152,7 +152,14 @@ def finished(sections: Sequence[Section]) -> tuple[Section, ...]:
                 blocks.append(Gallery(tuple(pictures)))
             else:
                 blocks.append(block)
-        serious = any(w.serious for w in section.warnings)
-        level: Level = "poor" if serious and section.judgement else section.level
-        out.append(dataclasses.replace(section, blocks=tuple(blocks), level=level))
+        out.append(dataclasses.replace(section, blocks=tuple(blocks), level=_level(section)))
     return tuple(out)
+
+
+def _level(section: Section) -> Level:
+    """The mark of a section: its warnings count as well as its figures."""
+    if not section.judgement or not section.warnings:
+        return section.level
+    if any(w.serious for w in section.warnings):
+        return "poor"
+    return "fair" if section.level == "good" else section.level

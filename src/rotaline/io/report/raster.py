@@ -5,10 +5,11 @@ points (``table`` in the report); a view is a rotation whose rows are the pictur
 the viewer. Work is done at twice the resolution and averaged, which smooths the edges.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 _EMPTY = np.iinfo(np.int64).max
 _OVERSAMPLING = 2
@@ -92,29 +93,39 @@ def render_points(
 
 
 def render_mesh(
-    vertices: Float[np.ndarray, "v 3"], triangles: Int[np.ndarray, "t 3"], view: View
+    vertices: Float[np.ndarray, "v 3"], triangles: Int[np.ndarray, "t 3"], views: Sequence[View]
+) -> list[UInt8[np.ndarray, "h w 3"]]:
+    """Draw a mesh from several views with smooth shading; faces seen from their inner side are brownish."""
+    finite = np.isfinite(vertices).all(axis=1)
+    faces = triangles[finite[triangles].all(axis=1)]
+    normals, face_normals = _normals(vertices, faces)
+    return [_render_mesh(vertices, faces, normals, face_normals, view) for view in views]
+
+
+def _render_mesh(
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "t 3"],
+    normals: Float[np.ndarray, "v 3"],
+    face_normals: Float[np.ndarray, "t 3"],
+    view: View,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Draw a mesh with smooth shading; faces seen from their inner side are brownish."""
     xyz, width, height = _to_pixels(vertices, view)
     buffer = np.full(width * height, _EMPTY, dtype=np.int64)
-    finite = np.isfinite(xyz).all(axis=1)
-    faces = triangles[finite[triangles].all(axis=1)]
     edges, slopes, window = _set_up(xyz, faces, width, height)
     drawn = np.flatnonzero((window[:, 2] > 0) & (window[:, 3] > 0) & np.isfinite(slopes).all(axis=1))
-    low, high = (float(xyz[finite, 2].min()), float(xyz[finite, 2].max())) if finite.any() else (0.0, 1.0)
+    depths = xyz[faces, 2]
+    low, high = (float(depths.min()), float(depths.max())) if len(faces) else (0.0, 1.0)
     for ids, nu, nv in _by_window(drawn, window):
         _fill(buffer, ids, nu, nv, edges, slopes, window, width, (low, high))
     seen = np.flatnonzero(buffer != _EMPTY)
     which = (buffer[seen] & 0xFFFFFFFF).astype(np.int64)
-    colour = np.zeros((width * height, 3))
+    weights = np.clip(_affine(edges[which], seen % width, seen // width), 0.0, None)
+    weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
     depth = np.full(width * height, np.nan)
-    if len(seen):
-        u, v = seen % width, seen // width
-        weights = _affine(edges[which], u, v)
-        weights = np.clip(weights, 0.0, None)
-        weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-        depth[seen] = np.einsum("ij,ij->i", weights, xyz[faces[which], 2])
-        colour[seen] = _shade(vertices, faces, which, weights, view)
+    depth[seen] = np.einsum("ij,ij->i", weights, depths[which])
+    n = np.einsum("ij,ijk->ik", weights, normals[faces[which]]) @ view.rotation.T
+    colour = np.zeros((width * height, 3))
+    colour[seen] = _shade(n, face_normals[which] @ view.rotation[2] < 0.0)
     dark = _edge_darkening(depth.reshape(height, width), strength=0.35).reshape(-1)
     return _finish(colour * dark[:, None], buffer != _EMPTY, width, height)
 
@@ -206,27 +217,23 @@ def _affine(
     return edges[:, :, 0] * u[:, None] + edges[:, :, 1] * v[:, None] + edges[:, :, 2]
 
 
-def _shade(
-    vertices: Float[np.ndarray, "v 3"],
-    faces: Int[np.ndarray, "t 3"],
-    which: Int[np.ndarray, " n"],
-    weights: Float[np.ndarray, "n 3"],
-    view: View,
-) -> Float[np.ndarray, "n 3"]:
-    """Lambert shading with a key light, a fill light and a faint highlight, normals smoothed over the vertices."""
+def _normals(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "t 3"]
+) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "t 3"]]:
+    """Unit normals of the vertices (means of their faces, by area) and normals of the faces (length: twice the area)."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     face_normals = np.cross(b - a, c - a)
-    normals = np.stack(
-        [
-            sum(np.bincount(faces[:, i], face_normals[:, axis], minlength=len(vertices)) for i in range(3))
-            for axis in range(3)
-        ],
-        axis=1,
-    )
+    normals = np.zeros((len(vertices), 3))
+    for i in range(3):
+        for axis in range(3):
+            normals[:, axis] += np.bincount(faces[:, i], face_normals[:, axis], minlength=len(vertices))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    n = np.einsum("ij,ijk->ik", weights, normals[faces[which]]) @ view.rotation.T
-    n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-30)
-    inner = (face_normals[which] @ view.rotation[2]) < 0.0
+    return normals, face_normals
+
+
+def _shade(normals: Float[np.ndarray, "n 3"], inner: Bool[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    """Lambert shading with a key light, a fill light and a faint highlight; normals in the frame of the view."""
+    n = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     n = np.where(n[:, 2:] < 0.0, -n, n)
     key = np.clip(n @ _unit(-0.45, 0.55, 0.75), 0.0, None)
     fill = np.clip(n @ _unit(0.7, -0.1, 0.6), 0.0, None)

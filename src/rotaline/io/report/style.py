@@ -9,7 +9,7 @@ import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -49,6 +49,31 @@ def new_figure(width_inch: float, height_inch: float) -> Figure:
     )
     FigureCanvasAgg(figure)
     return figure
+
+
+def row_of_panels(n: int, ratio: float, bars: Literal["none", "last", "each"]) -> tuple[Figure, list[Axes], list[Axes]]:
+    """A row of pictures (height ``ratio`` times their width) over the full width, with room for titles and colour bars.
+
+    Returns
+    -------
+    figure, the axes of the pictures, the axes of the colour bars (none, one at the end, or one each)
+    """
+    bar_room, gap, title = 0.72, 0.1, 0.26
+    n_bars = {"none": 0, "last": 1, "each": n}[bars]
+    width = (FULL_INCH - n_bars * bar_room - (n - 1) * gap) / n
+    height = width * ratio
+    figure = Figure(figsize=(FULL_INCH, height + title), facecolor="white")
+    panels, colour_axes = [], []
+    x = 0.0
+    for i in range(n):
+        panels.append(figure.add_axes((x / FULL_INCH, 0.0, width / FULL_INCH, height / (height + title))))
+        x += width
+        if bars == "each" or (bars == "last" and i == n - 1):
+            left, bottom, tall = (x + 0.06) / FULL_INCH, 0.16, 0.66
+            colour_axes.append(figure.add_axes((left, bottom, 0.09 / FULL_INCH, tall)))
+            x += bar_room
+        x += gap
+    return figure, panels, colour_axes
 
 
 def style_axes(ax: Axes, title: str = "", xlabel: str = "", ylabel: str = "", grid: bool = True) -> None:
@@ -141,9 +166,9 @@ def nothing_to_draw(ax: Axes, text: str) -> None:
 
 
 def colour_bar(figure: Figure, mappable: Any, axes: Any, label: str, **options: Any) -> None:
-    """A slim colour bar with its unit."""
-    settings: dict[str, Any] = {"shrink": 0.85, "aspect": 28, "pad": 0.02} | options
-    bar = figure.colorbar(mappable, ax=axes, **settings)
+    """A slim colour bar with its unit, beside ``axes``, or in an axes of its own (``cax``)."""
+    settings: dict[str, Any] = {"shrink": 0.85, "aspect": 28, "pad": 0.02} if axes is not None else {}
+    bar = figure.colorbar(mappable, ax=axes, **(settings | options))
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=_TEXT - 1, colors=INK, color=GREY, length=2)
     bar.set_label(label, fontsize=_TEXT - 0.5, color=INK)

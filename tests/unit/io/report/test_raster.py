@@ -42,7 +42,7 @@ def test_the_nearer_point_hides_the_farther_one(order):
 
 
 def test_a_square_covers_its_area_without_holes():
-    picture = render_mesh(square(0.0, 3.0), SQUARE, FRONT)
+    picture = render_mesh(square(0.0, 3.0), SQUARE, [FRONT])[0]
     covered = (picture < 250).any(axis=2)
     assert covered.sum() == pytest.approx(60 * 60, rel=0.05)
     assert covered[25:75, 35:85].all()
@@ -55,7 +55,7 @@ def test_many_small_triangles_cover_the_same_as_two_large_ones():
     i, j = (g.ravel() for g in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
     a = i * n + j
     triangles = np.concatenate([np.stack([a, a + n, a + n + 1], 1), np.stack([a, a + n + 1, a + 1], 1)])
-    fine, coarse = render_mesh(vertices, triangles, FRONT), render_mesh(square(0.0, 3.0), SQUARE, FRONT)
+    fine, coarse = (render_mesh(*mesh, [FRONT])[0] for mesh in ((vertices, triangles), (square(0.0, 3.0), SQUARE)))
     assert np.abs(fine.astype(int) - coarse).max() <= 2
 
 
@@ -63,7 +63,7 @@ def test_the_nearer_square_hides_the_farther_one_and_its_back_is_brownish():
     near, far = square(2.0, 1.0), square(-2.0, 3.0)
     vertices = np.vstack([near, far])
     turned = SQUARE[:, ::-1]  # the near one is seen from its back
-    picture = render_mesh(vertices, np.vstack([turned, SQUARE + 4]), FRONT).astype(int)
+    picture = render_mesh(vertices, np.vstack([turned, SQUARE + 4]), [FRONT])[0].astype(int)
     assert picture[50, 60, 0] > picture[50, 60, 2]
     assert picture[50, 38, 0] < picture[50, 38, 2]
 
@@ -71,14 +71,14 @@ def test_the_nearer_square_hides_the_farther_one_and_its_back_is_brownish():
 def test_elements_that_are_not_finite_or_out_of_view_are_left_out():
     vertices = np.vstack([square(0.0, 2.0), [[np.nan] * 3], square(0.0, 1.0) + np.array([0, 500.0, 0])])
     triangles = np.vstack([SQUARE, [[0, 1, 4]], SQUARE + 5])
-    alone = render_mesh(square(0.0, 2.0), SQUARE, FRONT)
-    np.testing.assert_array_equal(render_mesh(vertices, triangles, FRONT), alone)
+    alone = render_mesh(square(0.0, 2.0), SQUARE, [FRONT])[0]
+    np.testing.assert_array_equal(render_mesh(vertices, triangles, [FRONT])[0], alone)
     empty = render_points(np.array([[np.nan, 0, 0], [0, 500.0, 0]]), np.stack([RED, RED]), FRONT)
     assert (empty == 255).all()
 
 
 def test_a_triangle_without_area_draws_nothing():
-    picture = render_mesh(np.array([[0.0, 0, 0], [0, 1, 0], [0, 2, 0]]), np.array([[0, 1, 2]]), FRONT)
+    picture = render_mesh(np.array([[0.0, 0, 0], [0, 1, 0], [0, 2, 0]]), np.array([[0, 1, 2]]), [FRONT])[0]
     assert (picture == 255).all()
 
 

@@ -171,12 +171,14 @@ def test_warnings_are_never_said_twice(full_contents):
     assert "1 warning " in text
 
 
-def test_a_serious_warning_spoils_the_judgement_of_its_stage(full_contents):
+def test_warnings_spoil_the_judgement_of_their_stage(full_contents):
     calm = light(full_contents, cross_ratio=full_contents.cross_ratio)
     assert 'class="judgement good"' in render_report(calm)
+    uneasy = dataclasses.replace(calm, warnings=(StageWarning("cross-ratio", "few rows"),))
+    assert 'class="judgement fair"' in render_report(uneasy)
     alarmed = dataclasses.replace(calm, warnings=(StageWarning("cross-ratio", "the dots moved", serious=True),))
     html = render_report(alarmed)
-    assert 'class="judgement good"' not in html
+    assert 'class="judgement poor"' in html
     assert "1 serious warning: do not rely on" in Page(html).text
 
 

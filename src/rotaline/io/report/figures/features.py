@@ -48,7 +48,7 @@ def fit(measurement: FeatureMeasurement, fitted: FittedPoints) -> Figure:
     mappable = ScalarMappable(Normalize(-limit, limit), style.DIVERGING)
     _space(ax_space, points, residuals, mappable)
     style.colour_bar(figure, mappable, ax_space, "single points, outside + [µm]", shrink=0.7)
-    _draw_chart(figure, ax_chart, _chart(measurement, points), residuals, limit)
+    _draw_chart(figure, ax_chart, _chart(measurement, points, residuals / 1e3), residuals, limit)
     _histogram(ax_histogram, residuals, limit)
     return figure
 
@@ -59,11 +59,7 @@ def _draw_chart(figure: Figure, ax: Axes, chart: _Chart, residuals: Float[np.nda
     if chart.equal:
         ax.set_aspect("equal", adjustable="datalim")
     if chart.surface and len(residuals) >= _MEANS_FROM:
-        columns = 72
-        rows = int(np.clip(len(residuals) / (8 * columns), 6, 36))
-        sums, x_edges, y_edges = np.histogram2d(chart.x, chart.y, bins=(columns, rows), weights=residuals)
-        counts, _, _ = np.histogram2d(chart.x, chart.y, bins=(x_edges, y_edges))
-        means = np.where(counts >= 3, sums / np.maximum(counts, 1), np.nan)
+        x_edges, y_edges, means = _cell_means(chart, residuals)
         reach = style.symmetric_limit(means.ravel())
         shown = ax.pcolormesh(
             x_edges, y_edges, means.T, cmap=style.DIVERGING, vmin=-reach, vmax=reach, rasterized=True, linewidth=0
@@ -83,6 +79,26 @@ def _draw_chart(figure: Figure, ax: Axes, chart: _Chart, residuals: Float[np.nda
         vmax=limit,
         linewidths=0,
     )
+
+
+def _cell_means(
+    chart: _Chart, residuals: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " q"], Float[np.ndarray, "c r"]]:
+    """Edges of the cells and the mean residual in each, NaN below 3 points; as many columns as the frames fill."""
+    best: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    filled_coarse = 0.0
+    for columns in (24, 36, 48, 72):
+        rows = int(np.clip(len(residuals) / (8 * columns), 6, 36))
+        sums, x_edges, y_edges = np.histogram2d(chart.x, chart.y, bins=(columns, rows), weights=residuals)
+        counts, _, _ = np.histogram2d(chart.x, chart.y, bins=(x_edges, y_edges))
+        filled = float((counts >= 3).mean())
+        if best is None:
+            filled_coarse = filled
+        elif filled < 0.85 * filled_coarse:
+            break
+        best = (x_edges, y_edges, np.where(counts >= 3, sums / np.maximum(counts, 1), np.nan))
+    assert best is not None
+    return best
 
 
 def _space(
@@ -105,7 +121,9 @@ def _histogram(ax: Axes, residuals: Float[np.ndarray, " n"], limit: float) -> No
     style.style_axes(ax, "Distribution", "residual [µm]", "points")
 
 
-def _chart(measurement: FeatureMeasurement, points: Float[np.ndarray, "n 3"]) -> _Chart:
+def _chart(
+    measurement: FeatureMeasurement, points: Float[np.ndarray, "n 3"], residuals_mm: Float[np.ndarray, " n"]
+) -> _Chart:
     geometry = measurement.geometry
     if measurement.feature == "sphere":
         centre = _vector(geometry, "centre")
@@ -123,7 +141,7 @@ def _chart(measurement: FeatureMeasurement, points: Float[np.ndarray, "n 3"]) ->
         up = _vector(geometry, "normal")
         up = _vector(geometry, "top_normal") if up is None else up
         if up is not None:
-            return _profile(points, up / np.linalg.norm(up), _vector(geometry, "direction"))
+            return _profile(points, residuals_mm, up / np.linalg.norm(up), _vector(geometry, "direction"))
     centre = points.mean(axis=0)
     _, _, axes = np.linalg.svd(points[style.thinned(len(points), 3000)] - centre, full_matrices=False)
     flat = (points - centre) @ axes[:2].T
@@ -152,19 +170,24 @@ def _unrolled(
 
 
 def _profile(
-    points: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"], along: Float[np.ndarray, "3"] | None
+    points: Float[np.ndarray, "n 3"],
+    residuals_mm: Float[np.ndarray, " n"],
+    normal: Float[np.ndarray, "3"],
+    along: Float[np.ndarray, "3"] | None,
 ) -> _Chart:
-    """Across a groove or step against the height above its middle."""
+    """Across a groove or step against the height above its middle, with the residuals exaggerated."""
     along = _main_direction(points, normal) if along is None else along
     across = np.cross(along, normal)
     across = across / np.linalg.norm(across)
     d = points - points.mean(axis=0)
+    height = d @ normal
+    factor = style.exaggeration(residuals_mm, 0.06 * float(np.ptp(height)))
     return _Chart(
-        "Residuals along the profile",
+        f"Profile, residuals × {factor:g}",
         "across the feature [mm]",
         "along the normal [mm]",
         d @ across,
-        d @ normal,
+        height + (factor - 1.0) * residuals_mm,
         surface=False,
     )
 

@@ -1,7 +1,5 @@
 """Pictures of scans: clouds and surfaces from several viewpoints (figure 16 of the article), points a frame."""
 
-from typing import Any
-
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib import colormaps
@@ -17,33 +15,33 @@ from rotaline.scanning.cloud import PointCloud
 VIEWPOINTS_DEG = ((20.0, 22.0), (140.0, 22.0), (260.0, 22.0), (20.0, 89.0))
 VIEWPOINT_NAMES = ("20° from x", "140° from x", "260° from x", "from above")
 _PANEL_PX = (440, 400)
+_SCALE_BAR_SHARE = 0.09
+_PANEL_RATIO = _PANEL_PX[1] * (1.0 + _SCALE_BAR_SHARE) / _PANEL_PX[0]
 _ABOVE_TABLE_MM = 0.5
 
 
 def cloud_views(cloud: PointCloud, table_seen: bool) -> Figure:
     """The cloud from four viewpoints, coloured by height; the table (z = 0 if it was seen) does not shrink the part."""
     points, _ = _finite(cloud.points_table)
-    figure = style.new_figure(style.FULL_INCH, 2.75)
-    axes = figure.subplots(1, 4)
+    figure, axes, (bar,) = style.row_of_panels(4, _PANEL_RATIO, "last")
     if len(points) == 0:
-        return _empty(axes, figure, "no points")
+        return _empty(figure, "no points")
     part = _part(points, table_seen)
     values = points[:, 2]
     views = views_around(points[part], VIEWPOINTS_DEG, _PANEL_PX)
     mappable = _mappable(values[part], style.SEQUENTIAL)
     for ax, view, name in zip(axes, views, VIEWPOINT_NAMES, strict=True):
         panel(ax, _draw_points(points, values, mappable, view), view, name)
-    style.colour_bar(figure, mappable, axes, "z, table frame [mm]", shrink=0.8)
+    style.colour_bar(figure, mappable, None, "z, table frame [mm]", cax=bar)
     return figure
 
 
 def cloud_attributes(cloud: PointCloud, table_seen: bool) -> Figure:
     """The cloud by intensity, by standard uncertainty and by table angle."""
     points, pick = _finite(cloud.points_table)
-    figure = style.new_figure(style.FULL_INCH, 2.75)
-    axes = figure.subplots(1, 3)
+    figure, axes, bars = style.row_of_panels(3, _PANEL_RATIO, "each")
     if len(points) == 0:
-        return _empty(axes, figure, "no points")
+        return _empty(figure, "no points")
     directions = (VIEWPOINTS_DEG[0], VIEWPOINTS_DEG[0], VIEWPOINTS_DEG[3])
     part = _part(points, table_seen)
     views = views_around(points[part], directions, _PANEL_PX)
@@ -52,13 +50,14 @@ def cloud_attributes(cloud: PointCloud, table_seen: bool) -> Figure:
         (cloud.u_mm[pick] * 1e3, "plasma", "u, k = 1 [µm]", "Standard uncertainty from the stripe"),
         (np.rad2deg(cloud.angle_rad[pick]) % 360.0, style.CYCLIC, "table angle [deg]", "Table angle"),
     )
-    for ax, view, (values, colours, label, title) in zip(axes, views, shown, strict=True):
+    for ax, bar, view, (values, colours, label, title) in zip(axes, bars, views, shown, strict=True):
         mappable = _mappable(values[part], colours)
         if not np.isfinite(values).any():
             style.nothing_to_draw(ax, f"{title}: not known")
+            bar.set_axis_off()
             continue
         panel(ax, _draw_points(points, values, mappable, view), view, title)
-        style.colour_bar(figure, mappable, ax, label, shrink=0.75)
+        style.colour_bar(figure, mappable, None, label, cax=bar)
     return figure
 
 
@@ -83,13 +82,14 @@ def points_by_frame(cloud: PointCloud, n_points: int) -> Figure:
 
 def mesh_views(vertices_table: Float[np.ndarray, "v 3"], triangles: Int[np.ndarray, "t 3"]) -> Figure:
     """The surface from four viewpoints with shading."""
-    figure = style.new_figure(style.FULL_INCH, 2.75)
-    axes = figure.subplots(1, 4)
+    figure, axes, _ = style.row_of_panels(4, _PANEL_RATIO, "none")
     used = vertices_table[np.unique(triangles)] if len(triangles) else np.zeros((0, 3))
     if len(used) == 0:
-        return _empty(axes, figure, "no triangles")
-    for ax, view, name in zip(axes, views_around(used, VIEWPOINTS_DEG, _PANEL_PX), VIEWPOINT_NAMES, strict=True):
-        panel(ax, render_mesh(vertices_table, triangles, view), view, name)
+        return _empty(figure, "no triangles")
+    views = views_around(used, VIEWPOINTS_DEG, _PANEL_PX)
+    pictures = render_mesh(vertices_table, triangles, views)
+    for ax, picture, view, name in zip(axes, pictures, views, VIEWPOINT_NAMES, strict=True):
+        panel(ax, picture, view, name)
     return figure
 
 
@@ -121,7 +121,7 @@ def _draw_points(
 def panel(ax: Axes, picture: UInt8[np.ndarray, "h w 3"], view: View, title: str) -> None:
     """A rendered picture with a scale bar in mm."""
     height, width = picture.shape[:2]
-    strip = round(0.09 * height)
+    strip = round(_SCALE_BAR_SHARE * height)
     ax.imshow(np.vstack([picture, np.full((strip, width, 3), 255, np.uint8)]), interpolation="lanczos")
     ax.set_axis_off()
     ax.set_title(title, fontsize=8.5, color=style.INK, loc="left", fontweight="bold")
@@ -138,7 +138,7 @@ def panel(ax: Axes, picture: UInt8[np.ndarray, "h w 3"], view: View, title: str)
     )
 
 
-def _empty(axes: Any, figure: Figure, text: str) -> Figure:
-    for ax in axes:
-        style.nothing_to_draw(ax, text)
+def _empty(figure: Figure, text: str) -> Figure:
+    for ax in figure.axes:
+        style.nothing_to_draw(ax, text if ax is figure.axes[0] else "")
     return figure

@@ -23,6 +23,7 @@ def section(run: RunInfo) -> Section:
                     Row(("Sum", numbers.seconds(total), ""), "total"),
                 ),
                 "Stages that were taken from an earlier run took no time here.",
+                stacks=2 if len(run.stage_seconds) > 12 else 1,
             )
         )
     if run.options:
@@ -31,6 +32,7 @@ def section(run: RunInfo) -> Section:
                 "Options of the stages.",
                 (Column("Option", numeric=False), Column("Value", numeric=False)),
                 tuple(Row((name, value)) for name, value in run.options.items()),
+                stacks=2 if len(run.options) > 12 else 1,
             )
         )
     blocks.append(
