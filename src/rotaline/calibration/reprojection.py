@@ -69,18 +69,14 @@ class BundleFit:
 
 
 def projection_jacobians(
-    camera: CameraModel,
-    camera_from_board: RigidTransform,
-    points_board: Float[np.ndarray, "n 3"],
-    names: Sequence[str] = (),
+    camera: CameraModel, points_camera: Float[np.ndarray, "n 3"], names: Sequence[str] = ()
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 p"], Float[np.ndarray, "n 2 6"]]:
-    """Project board points, with the derivatives by camera parameters and by a small motion of the board.
+    """Project points of a board, with the derivatives by camera parameters and by a small motion of the board.
 
     Parameters
     ----------
     camera : CameraModel
-    camera_from_board : RigidTransform
-    points_board : (n, 3)   mm
+    points_camera : (n, 3)   mm
     names : camera parameters to derive by
 
     Returns
@@ -89,9 +85,8 @@ def projection_jacobians(
     by_camera : (n, 2, p)   columns in the order of ``names``
     by_pose : (n, 2, 6)   rotation (rad) about the centre of the points, then translation (mm), along the camera's axes
     """
-    points = camera_from_board.apply(points_board)
-    z = np.where(points[:, 2] > 0, points[:, 2], np.nan)
-    xy = points[:, :2] / z[:, None]
+    z = np.where(points_camera[:, 2] > 0, points_camera[:, 2], np.nan)
+    xy = points_camera[:, :2] / z[:, None]
     x, y = xy[:, 0], xy[:, 1]
     r2 = x * x + y * y
     distorted = camera.distort(xy)
@@ -118,21 +113,11 @@ def projection_jacobians(
     by_point = np.empty((len(xy), 2, 3))
     by_point[:, :, :2] = by_xy / z[:, None, None]
     by_point[:, :, 2] = -(by_xy[:, :, 0] * x[:, None] + by_xy[:, :, 1] * y[:, None]) / z[:, None]
-    arms = points - _pivot(points)
+    arms = points_camera - points_camera.mean(axis=0)
     by_pose = np.empty((len(xy), 2, 6))
     by_pose[:, :, :3] = np.cross(arms[:, None, :], by_point)  # d p / d w = -[arm]x
     by_pose[:, :, 3:] = by_point
     return uv, by_camera, by_pose
-
-
-def move_pose(
-    camera_from_board: RigidTransform, points_board: Float[np.ndarray, "n 3"], step: Float[np.ndarray, "6"]
-) -> RigidTransform:
-    """Apply the small motion of :func:`projection_jacobians` to a pose."""
-    pivot = _pivot(camera_from_board.apply(points_board))
-    turn = Rotation.from_rotvec(step[:3])
-    motion = RigidTransform.from_components(pivot + step[3:] - turn.apply(pivot), turn)
-    return motion * camera_from_board
 
 
 def get_parameters(camera: CameraModel, names: Sequence[str]) -> Float[np.ndarray, " p"]:
@@ -165,7 +150,7 @@ def refine_pose(
     factor : (6, 6)   R of the derivative by the pose: cov = s^2 (R^T R)^-1, as in :func:`projection_jacobians`
     """
     fit = refine_bundle(camera, [camera_from_board], [observation], ())
-    _, _, by_pose = projection_jacobians(camera, fit.poses[0], observation.points_board)
+    _, _, by_pose = projection_jacobians(camera, fit.poses[0].apply(observation.points_board))
     weighted = (by_pose * observation.weights[:, None, None])[observation.weights > 0].reshape(-1, 6)
     return fit.poses[0], fit.cost, np.asarray(np.linalg.qr(np.nan_to_num(weighted), mode="r"))
 
@@ -191,7 +176,7 @@ def refine_bundle(
     -------
     BundleFit   ``cost`` is inf (and nothing is refined) where the start shows points behind the camera
     """
-    state, current_poses = camera, list(poses)
+    state, current_poses = camera, [_Pose(p.rotation.as_matrix(), p.translation) for p in poses]
     cost = _cost(state, current_poses, observations, names, prior)
     damping, converged = _DAMPING, False
     for _ in range(max_iterations if np.isfinite(cost) else 0):
@@ -201,7 +186,7 @@ def refine_bundle(
             camera_step, pose_steps = _solve(views, state, names, prior, damping)
             trial = set_parameters(state, names, get_parameters(state, names) + camera_step)
             trial_poses = [
-                move_pose(p, o.points_board, s) for p, o, s in zip(current_poses, observations, pose_steps, strict=True)
+                p.moved(o.points_board, s) for p, o, s in zip(current_poses, observations, pose_steps, strict=True)
             ]
             trial_cost = (
                 _cost(trial, trial_poses, observations, names, prior) if min(trial.fx, trial.fy) > 0 else np.inf
@@ -229,7 +214,9 @@ def refine_bundle(
     stacked = [rest[:, :p] for rest in rests] + ([prior.rows] if prior is not None else [])
     padded = np.vstack([*stacked, np.zeros((p, p))])
     information = np.asarray(np.linalg.qr(padded, mode="r")) if p else np.zeros((0, 0))
-    return BundleFit(state, tuple(current_poses), float(cost), information, gradients, blocks, converged)
+    return BundleFit(
+        state, tuple(p.as_transform() for p in current_poses), float(cost), information, gradients, blocks, converged
+    )
 
 
 def covariance_from_factor(factor: Float[np.ndarray, "p p"], variance: float) -> Float[np.ndarray, "p p"]:
@@ -244,6 +231,28 @@ def covariance_from_factor(factor: Float[np.ndarray, "p p"], variance: float) ->
 
 
 @dataclass(frozen=True, eq=False)
+class _Pose:
+    """A pose while it is refined: plain matrices, many times faster than a transform that checks itself."""
+
+    rotation: Float[np.ndarray, "3 3"]
+    translation: Float[np.ndarray, "3"]
+
+    def apply(self, points_board: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Board points in the camera frame."""
+        return points_board @ self.rotation.T + self.translation
+
+    def moved(self, points_board: Float[np.ndarray, "n 3"], step: Float[np.ndarray, "6"]) -> "_Pose":
+        """The pose after the small motion of :func:`projection_jacobians`."""
+        pivot = self.rotation @ points_board.mean(axis=0) + self.translation
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        return _Pose(turn @ self.rotation, turn @ (self.translation - pivot) + pivot + step[3:])
+
+    def as_transform(self) -> RigidTransform:
+        """``camera_from_board``."""
+        return RigidTransform.from_components(self.translation, Rotation.from_matrix(self.rotation))
+
+
+@dataclass(frozen=True, eq=False)
 class _View:
     """Weighted derivatives of one view: by pose, by camera, and the residuals."""
 
@@ -252,9 +261,9 @@ class _View:
     residuals: Float[np.ndarray, " m"]
 
 
-def _linearise(camera: CameraModel, pose: RigidTransform, observation: BoardObservation, names: Sequence[str]) -> _View:
+def _linearise(camera: CameraModel, pose: _Pose, observation: BoardObservation, names: Sequence[str]) -> _View:
     used: Bool[np.ndarray, " n"] = observation.weights > 0
-    uv, by_camera, by_pose = projection_jacobians(camera, pose, observation.points_board, names)
+    uv, by_camera, by_pose = projection_jacobians(camera, pose.apply(observation.points_board), names)
     weights = observation.weights[used, None]
     return _View(
         (by_pose[used] * weights[:, :, None]).reshape(-1, 6),
@@ -300,7 +309,7 @@ def _solve(
 
 def _cost(
     camera: CameraModel,
-    poses: Sequence[RigidTransform],
+    poses: Sequence[_Pose],
     observations: Sequence[BoardObservation],
     names: Sequence[str],
     prior: Prior | None,
@@ -308,12 +317,9 @@ def _cost(
     """Weighted sum of squares, px^2; inf where a point lies behind the camera."""
     total = 0.0
     for pose, observation in zip(poses, observations, strict=True):
-        residuals = reprojection_residuals(camera, pose, observation) * observation.weights[:, None]
+        residuals = observation.uv - camera.project(pose.apply(observation.points_board))
+        residuals = residuals * observation.weights[:, None]
         total += float(np.sum(residuals[observation.weights > 0] ** 2))
     if prior is not None:
         total += float(np.sum((prior.values - prior.rows @ get_parameters(camera, names)) ** 2))
     return total if np.isfinite(total) else float("inf")
-
-
-def _pivot(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
-    return np.asarray(points.mean(axis=0))
