@@ -38,6 +38,7 @@ _N_FIRST = 12
 
 
 _MAX_REWEIGHTS = 12
+_STEEP_SINE = 0.02
 
 
 @dataclass(frozen=True)
@@ -246,6 +247,10 @@ def _corners(
         ] = -1
     bends = _side_bends(rough, edges, identified.staircase, artifact, sine)
     lines = _fit_lines(profile, piece, rough, bends, options)
+    if abs(sine) > _STEEP_SINE:  # the bends were taken from straight lines
+        better = [_cut(lines[k], lines[k + 1], bends[k], bends[k + 1]) for k in range(4)]
+        bends = _side_bends(lines, better, identified.staircase, artifact, sine)
+        lines = _fit_lines(profile, piece, rough, bends, options)
 
     xy, u = np.full((4, 2), np.nan), np.full(4, np.nan)
     missing = []
@@ -339,13 +344,17 @@ def _side_bends(
     if sine == 0.0 or edges[1] is None or edges[2] is None:
         return bends
     r1, r2 = artifact.diameter_small / 2, artifact.diameter_large / 2
-    width = float(staircase.coordinates((edges[2] - edges[1])[None])[0, 0])
-    small = float(np.clip((r2**2 - r1**2 - width**2) / (2 * width), 0.2 * r1, r1)) if width > 0 else r1
+    edge = staircase.coordinates(np.stack([edges[1], edges[2]]))[:, 0]
+    width = float(edge[1] - edge[0])
+    if width <= 0:
+        return bends
+    axis = float(edge[0]) - float(np.clip((r2**2 - r1**2 - width**2) / (2 * width), 0.2 * r1, r1))
     outward = staircase.coordinates(np.eye(2))[:, 0]
-    for k, radius, x in ((SMALL_SIDE, r1, small), (LARGE_SIDE, r2, small + width)):
+    for k, radius in ((SMALL_SIDE, r1), (LARGE_SIDE, r2)):
         line = lines[k]
         if line is not None:
             across = np.array([-line.direction[1], line.direction[0]])
+            x = float(np.clip(line.centre @ outward - axis, 0.2 * radius, radius))
             bends[k] = -(sine**2) * radius**2 / x**3 * float(np.sign(across @ outward))
     return bends
 
