@@ -72,6 +72,8 @@ def main(argv: list[str] | None = None) -> int:
     logging.getLogger("rotaline").addHandler(logging.NullHandler())
     try:
         code = app(args=argv, standalone_mode=False)
+        if code == INTERRUPTED:  # typer turns KeyboardInterrupt into this
+            raise KeyboardInterrupt
         return code if isinstance(code, int) else OK
     except (typer.Exit, SystemExit) as done:
         code = getattr(done, "exit_code", getattr(done, "code", 0))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from rotaline.calibration.artifact import ArtifactOptions
 from rotaline.calibration.cross_ratio import CrossRatioOptions
@@ -153,7 +153,7 @@ def _stage(source: str, stage: str, kind: Any, table: Any) -> Any:
             f"{source}, {stage}.{unknown[0]}: there is no such option; expected one of {', '.join(names)}."
         )
     try:
-        return TypeAdapter(kind, config=ConfigDict(extra="forbid")).validate_python(table)
+        return TypeAdapter(kind).validate_python(table)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in (stage, *first["loc"]))

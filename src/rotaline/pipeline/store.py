@@ -113,6 +113,7 @@ def check_writable(folder: Path) -> None:
     probe = folder / ".write-test"
     try:
         probe.write_bytes(b"0" * 4096)
-        probe.unlink()
     except OSError as error:
         raise output_error(folder, error) from error
+    finally:
+        probe.unlink(missing_ok=True)
