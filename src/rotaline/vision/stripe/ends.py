@@ -62,16 +62,19 @@ def average_along(
     uv, gain = chains.uv.copy(), np.ones(len(chains))
     size = 2 * half_window + 1
     t = np.arange(size) - half_window
-    weights = np.linalg.pinv(np.column_stack([np.ones(size), t, t**2]))[0]
+    design = np.column_stack([np.ones(size), t, t**2])
+    weights = design @ np.linalg.pinv(design)  # row k: of the points of a window, for its point k
     correlation = _neighbour_correlation(chains, normal)
-    ratio = np.sqrt((weights**2).sum() + 2.0 * correlation * (weights[1:] * weights[:-1]).sum())
+    ratio = np.sqrt((weights**2).sum(axis=1) + 2.0 * correlation * (weights[:, 1:] * weights[:, :-1]).sum(axis=1))
     for start, stop in chains.spans():
-        if stop - start <= size:
+        if stop - start < size:
             continue
         smooth = savgol_filter(chains.uv[start:stop], size, 2, axis=0)
         n = normal[start:stop]
         uv[start:stop] += n * ((smooth - chains.uv[start:stop]) * n).sum(axis=1)[:, None]
-        gain[start + half_window : stop - half_window] = ratio
+        gain[start:stop] = ratio[half_window]
+        gain[start : start + half_window] = ratio[:half_window]
+        gain[stop - half_window : stop] = ratio[half_window + 1 :]
     return uv, gain
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 _MOST_SMOOTHING = 0.5  # share of the B-spline at 45 deg
+_TIE = 1e-6  # px; so that rounding errors do not decide which samples are taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +70,11 @@ def _sample(
     axis: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Profiles whose normals lie within 45 deg of image axis ``axis`` (0: along a row, 1: along a column)."""
-    line = np.rint(uv[:, axis])[:, None] + np.arange(-reach, reach + 1)
+    line = np.floor(uv[:, axis] + (0.5 - _TIE))[:, None] + np.arange(-reach, reach + 1)
     offset = (line - uv[:, axis, None]) / normal[:, axis, None]
     place = uv[:, 1 - axis, None] + offset * normal[:, 1 - axis, None]
     size_line, size_place = image.shape[1 - axis], image.shape[axis]
-    valid = (np.abs(offset) <= half_length_px[:, None]) & (line >= 0) & (line <= size_line - 1)
+    valid = (np.abs(offset) <= half_length_px[:, None] + _TIE) & (line >= 0) & (line <= size_line - 1)
     valid &= (place >= 0) & (place <= size_place - 1)
     low = np.floor(place)
     f = place - low

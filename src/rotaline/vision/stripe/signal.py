@@ -21,7 +21,7 @@ _CORE_PX = 25  # a saturated core up to this wide is filled
 _WHITE = 0.85  # of the range: what is brighter in all channels has lost its colour
 _CLEAR = 6.0  # grey values of an 8 bit image: prominence of a ridge in colour that things in a room hardly reach
 _CROWD = 20  # ridges; a stripe alone makes fewer
-_CROWD_PART, _CROWD_SHARE, _FAINT_PART = 0.25, 0.04, 0.02
+_CROWD_PART, _CROWD_SHARE, _FAINT_PART = 0.25, 0.04, 0.035
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ def find_stripe(
 
     Any colour with a clear ridge goes before grey, since the things in a room make strong ridges in grey but weak ones in
     colour. A frame with many ridges shows the scene itself; then only those stay that have a quarter of the prominence of
-    the strongest one and a twenty-fifth of its strength. Elsewhere a fiftieth of the prominence is enough.
+    the strongest one and a twenty-fifth of its strength. Elsewhere a thirtieth of the prominence is enough.
 
     Returns
     -------

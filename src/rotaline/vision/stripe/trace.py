@@ -12,7 +12,7 @@ from rotaline.vision.stripe.profiles import Profiles, sample_profiles
 from rotaline.vision.stripe.ridges import Ridge
 
 _WINDOW = 6  # points on either side that settle the direction
-_JOIN_PX = 6.0
+_JOIN_PX = 9.0
 _BOTH_SIDES = 0.2  # least fall to the higher side, part of the fall to the lower side
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.6, 20.0
 
@@ -78,8 +78,9 @@ def trace_ridges(
         chains = dense
         if k == 0:
             _, tangent = local_lines(chains, _WINDOW, 0.3)
-            chains, order = join_chains(chains, tangent, _JOIN_PX)
-            width = width[order]
+            joined, order = join_chains(chains, tangent, _JOIN_PX)
+            chains = resample(joined)
+            width = _carry(joined, width[order], chains)
     count = np.bincount(chains.chain)
     long = count[chains.chain] >= least
     if not long.any():
@@ -140,7 +141,7 @@ def _half_maximum(
     """
     profiles = sample_profiles(value, clipped, chains.uv, normal, 3.0 * width_px)
     d = profiles.offset_px
-    p = np.where(profiles.valid, profiles.value, np.nan)
+    p = np.where(profiles.valid, np.round(profiles.value, 6), np.nan)  # ties are ties, whatever the rounding errors
     near = np.abs(d) <= 0.8 * width_px[:, None]
     n = np.arange(len(d))
     with np.errstate(invalid="ignore"):

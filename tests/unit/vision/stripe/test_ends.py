@@ -47,7 +47,7 @@ def test_averaging_keeps_a_parabola():
     averaged, gain = average_along(Chains(uv, ONE), normal, 5)
     np.testing.assert_allclose(averaged, uv, atol=1e-9)
     assert gain[30] < 0.75
-    assert gain[0] == 1.0
+    assert gain[30] < gain[0] < 1.1
 
 
 @pytest.mark.parametrize("mixing", [0.0, 0.35])

@@ -20,7 +20,7 @@ def test_a_plane_is_read_exactly(angle, u, v):
     at = np.array([u, v]) + profile.offset_px[0][:, None] * normal
     expected = 3.0 + 2.0 * at[:, 0] - 1.5 * at[:, 1]
     np.testing.assert_allclose(profile.value[profile.valid], expected[profile.valid[0]], atol=1e-4)
-    assert np.abs(profile.offset_px[profile.valid]).max() <= 7.0
+    assert np.abs(profile.offset_px[profile.valid]).max() <= 7.00001
     assert profile.valid.sum() >= 9  # spacing at most sqrt(2)
 
 
