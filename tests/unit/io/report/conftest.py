@@ -357,7 +357,7 @@ def make_contents(scale: int = 1) -> ReportContents:
     line = np.stack([np.linspace(300, 960, 900), 400 + 80 * np.sin(np.linspace(0, 3, 900))], axis=1)
     vertices, triangles = tube_mesh(120 * scale, 60)
     axis, artifact = make_axis(rng), make_artifact(rng)
-    clouds = {"ball": ball, "rod": rod, "groove": groove}
+    clouds = {"ball": ball, "stepped-1": stepped}
     return ReportContents(
         run=RunInfo(
             "rig-demo",

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rotaline.io.report.contents import FittedPoints
 from rotaline.io.report.figures import artifact, axis, camera, features, laser_plane, scan
 
 
@@ -88,3 +89,33 @@ def test_the_arc_of_the_table_angles_does_not_depend_on_where_they_begin(start, 
     arc = axis.unwrapped(np.deg2rad(angles[order] % 360.0))
     assert np.rad2deg(np.ptp(arc)) == pytest.approx(step * (n - 1), abs=1e-6)
     np.testing.assert_allclose(np.cos(arc), np.cos(np.deg2rad(angles[order])), atol=1e-9)
+
+
+def test_means_of_cells_show_what_the_noise_hides(full_contents):
+    """A wave of 2 um under 10 um of noise stands out of the chart's cells."""
+    rng = np.random.default_rng(5)
+    angle, height = rng.uniform(-np.pi, np.pi, 40000), rng.uniform(0.0, 40.0, 40000)
+    wave = 0.002 * np.cos(angle)
+    points = np.stack([19 * np.cos(angle), 19 * np.sin(angle), height], axis=1)
+    fitted = FittedPoints("rod", "cylinder", "rod", points, wave + rng.normal(0, 0.010, len(wave)))
+    entry = next(e for e in full_contents.measurements if e.feature == "cylinder")
+    chart = next(
+        ax for ax in features.fit(entry.measurement, fitted).axes if ax.get_title(loc="left") == "Residuals, unrolled"
+    )
+    (mesh,) = chart.collections
+    means = np.ma.filled(mesh.get_array(), np.nan).mean(axis=0)
+    middles = np.deg2rad(np.linspace(-180, 180, len(means) + 1)[:-1] + 180 / len(means))
+    assert np.corrcoef(means, np.cos(middles))[0, 1] > 0.9
+
+
+def test_a_stepped_cylinder_unrolls_along_its_profile_without_overlap(full_contents):
+    """Disc, side, ring and side follow each other on the chart."""
+    parts = {"disc": (5.0, 47.0), "small": (11.5, 36.0), "ring": (15.0, 25.0), "large": (18.0, 10.0)}
+    points = np.array([[r, 0.0, z] for r, z in parts.values()])
+    fitted = FittedPoints("stepped-1", "stepped-cylinder", "stepped-cylinder", points, np.zeros(4))
+    entry = full_contents.measurements[0]
+    chart = next(
+        ax for ax in features.fit(entry.measurement, fitted).axes if ax.get_title(loc="left") == "Residuals, unrolled"
+    )
+    down = chart.collections[0].get_offsets()[:, 1]
+    np.testing.assert_allclose(np.sort(down)[::-1], [0.0, -17.5, -32.0, -50.0], atol=1e-9)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rotaline.errors import OutputError
+from rotaline.io.records import read_record, write_record
 from rotaline.io.report.contents import CloudSummary, FittedPoints, FrameOverlay, ReportContents, StageWarning
 from rotaline.io.report.figures import camera as camera_figures
 from rotaline.io.report.write import render_report, write_report
@@ -311,3 +312,21 @@ def test_the_file_is_written_whole_or_not_at_all(bare_contents, tmp_path, monkey
     with pytest.raises(OutputError):
         write_report(bare_contents, tmp_path / "a-file" / "report.html")
     assert path.read_text(encoding="utf-8") == before
+
+
+def test_the_report_can_be_written_again_from_stored_results(full_contents, tmp_path):
+    entry = full_contents.measurements[2]
+    assert entry.measurement is not None
+    round_numbers = dataclasses.replace(
+        entry, measurement=dataclasses.replace(entry.measurement, geometry={"radius": 14.2})
+    )
+    some = light(
+        full_contents,
+        cross_ratio=full_contents.cross_ratio,
+        measurements=(round_numbers,),
+    )
+    write_record(tmp_path / "report.npz", some)
+    again, before = (
+        re.sub(r'src="data:[^"]*"', "", render_report(c)) for c in (read_record(tmp_path / "report.npz"), some)
+    )
+    assert again == before

@@ -10,6 +10,9 @@ from rotaline.io.report.page import Block, Column, Gallery, Level, Row, Section,
 from rotaline.io.report.sections.overlays import overlay_blocks
 from rotaline.io.report.warnings import warnings_of
 
+_GOOD_RELATIVE, _POOR_RELATIVE = 1 / 3000, 1 / 1000
+"""RMS of the laser plane as a share of the distance from the camera."""
+
 
 def plane_section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Section:
     """Plane, stripes in the camera frame, residuals."""
@@ -140,12 +143,12 @@ def _judge_plane(calibration: LaserPlaneCalibration) -> tuple[str, Level]:
     relative = _relative_rms(calibration)
     if relative is not None:
         text += (
-            f" The RMS is 1/{numbers.count(max(1, round(1 / relative)))} of the distance from the camera; rigs with a sharp, "
-            "unsaturated stripe reach 1/5 000 and better."
+            f" The RMS is 1/{numbers.count(max(1, round(1 / relative)))} of the distance from the camera; better than "
+            f"1/{numbers.count(round(1 / _GOOD_RELATIVE))} counts as good here."
         )
-    if relative is None or used < 2 or relative > 1 / 1000:
+    if relative is None or used < 2 or relative > _POOR_RELATIVE:
         return text, "poor"
-    return text, "good" if relative < 1 / 3000 and used >= 0.8 * n and used >= 4 else "fair"
+    return text, "good" if relative < _GOOD_RELATIVE and used >= 0.8 * n and used >= 4 else "fair"
 
 
 def _relative_rms(calibration: LaserPlaneCalibration) -> float | None:
