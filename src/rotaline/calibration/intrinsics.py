@@ -18,28 +18,34 @@ from jaxtyping import Float
 from scipy.spatial.transform import RigidTransform
 
 from rotaline.calibration.camera_warnings import describe_weak_parameters, describe_weak_views
-from rotaline.calibration.homography import fit_homography, map_homography, pose_from_homography
+from rotaline.calibration.homography import pose_from_homography
+from rotaline.calibration.lens_prior import lens_prior, without_distortion
 from rotaline.calibration.model import CameraCalibration, CameraView, TargetView
 from rotaline.calibration.pose import estimate_board_pose
 from rotaline.calibration.reprojection import (
     MAX_ITERATIONS,
-    BoardObservation,
     BundleFit,
     Prior,
     covariance_from_factor,
     refine_bundle,
     reprojection_residuals,
 )
+from rotaline.calibration.view_selection import (
+    MIN_VIEWS,
+    RAYLEIGH_MEDIAN,
+    ViewState,
+    judge_views,
+    same_selection,
+    start_views,
+)
 from rotaline.calibration.zhang import start_cameras
 from rotaline.errors import CalibrationError, GeometryError
 from rotaline.vision.camera import CameraModel
 
-MIN_VIEWS = 3
 _CAUCHY = 2.4
 _ROBUST_ROUNDS = 10
 _ROBUST_ITERATIONS = 4
 _REJECTION_ROUNDS = 6
-_RAYLEIGH_MEDIAN = 1.17741
 _SPREAD_RATIO = 2.0
 
 
@@ -91,7 +97,7 @@ def calibrate_camera(
         image): add views with the target turned by 20 to 45 deg about different axes.
     """
     names = _parameter_names(options.distortion)
-    state = _start(views)
+    state = start_views(views)
     _require_views(state, views)
     camera, poses = _find_start([s for s in state if not s.reason], image_size)
     camera = camera if "k1" in names else replace(camera, k1=0.0)
@@ -107,8 +113,8 @@ def calibrate_camera(
         fit.camera, names, covariance_from_factor(fit.information, (spread_ratio * sigma_px) ** 2)
     )
     if weak and options.weak_parameters == "regularise":
-        prior = _lens_prior(names, image_size, fit.camera, spread_ratio * sigma_px)
-        state, fit = _reject(state, views, _plain(fit.camera, image_size), names, prior, options)
+        prior = lens_prior(names, image_size, fit.camera, spread_ratio * sigma_px)
+        state, fit = _reject(state, views, without_distortion(fit.camera, image_size), names, prior, options)
         u_parameters, sigma_px, spread_ratio = _uncertainty(fit, state, spread_ratio)
         warnings.append(
             "The views do not determine the camera by themselves ("
@@ -122,7 +128,7 @@ def calibrate_camera(
             + "; ".join(weak)
             + ". Add views: target turned by 20 to 45 deg about different axes, some near the corners."
         )
-    _require_focal_length(fit.camera, names, u_parameters, options)
+    _require_focal_length(fit.camera, u_parameters)
     if spread_ratio > 1.0:
         warnings.append(
             f"Leaving out single views changes the camera {spread_ratio:.1f} times as much as the image noise explains: the "
@@ -145,48 +151,12 @@ def calibrate_camera(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _ViewState:
-    """A view on its way through the estimate; ``reason`` is not empty once it is out."""
-
-    observation: BoardObservation
-    homography: Float[np.ndarray, "3 3"] | None
-    pose: RigidTransform | None = None
-    reason: str = ""
-
-
 def _parameter_names(distortion: str) -> tuple[str, ...]:
     terms = {"none": "", "k1": "k1", "k1k2": "k1 k2", "k1k2p1p2": "k1 k2 p1 p2", "k1k2p1p2k3": "k1 k2 p1 p2 k3"}
     return ("fx", "fy", "cx", "cy", *terms[distortion].split())
 
 
-def _start(views: Sequence[TargetView]) -> list[_ViewState]:
-    """Homography of every view; views without one are out."""
-    state = []
-    for view in views:
-        detection = view.detection
-        n = len(detection.uv)
-        observation = BoardObservation(detection.points_board, detection.uv, np.ones(n))
-        if n < 4:
-            state.append(_ViewState(observation, None, None, f"only {n} points found, at least 4 are needed"))
-            continue
-        try:
-            homography = fit_homography(detection.points_board[:, :2], detection.uv)
-            for _ in range(3):
-                errors = np.linalg.norm(
-                    detection.uv - map_homography(homography, detection.points_board[:, :2]), axis=1
-                )
-                keep = errors <= 4 * np.median(errors) + 1e-9
-                if keep.sum() < 4:
-                    break
-                homography = fit_homography(detection.points_board[keep, :2], detection.uv[keep])
-            state.append(_ViewState(observation, homography))
-        except GeometryError as error:
-            state.append(_ViewState(observation, None, None, str(error)))
-    return state
-
-
-def _require_views(state: Sequence[_ViewState], views: Sequence[TargetView]) -> None:
+def _require_views(state: Sequence[ViewState], views: Sequence[TargetView]) -> None:
     usable = sum(not s.reason for s in state)
     if usable < MIN_VIEWS:
         lost = [f"{v.name}: {s.reason}" for v, s in zip(views, state, strict=True) if s.reason]
@@ -197,7 +167,7 @@ def _require_views(state: Sequence[_ViewState], views: Sequence[TargetView]) -> 
         )
 
 
-def _find_start(state: Sequence[_ViewState], image_size: tuple[int, int]) -> tuple[CameraModel, list[RigidTransform]]:
+def _find_start(state: Sequence[ViewState], image_size: tuple[int, int]) -> tuple[CameraModel, list[RigidTransform]]:
     """The start camera, and poses, with the smallest median reprojection error after a short refinement."""
     best: tuple[float, CameraModel, list[RigidTransform]] | None = None
     for k, camera in enumerate(start_cameras([s.homography for s in state if s.homography is not None], image_size)):
@@ -225,7 +195,7 @@ def _find_start(state: Sequence[_ViewState], image_size: tuple[int, int]) -> tup
 _ONE_FOCAL_LENGTH = Prior(np.array([[1e3, -1e3, 0.0]]), np.zeros(1))
 
 
-def _pose_of(camera: CameraModel, state: _ViewState) -> RigidTransform:
+def _pose_of(camera: CameraModel, state: ViewState) -> RigidTransform:
     assert state.homography is not None
     to_normalised = np.array(
         [[1 / camera.fx, 0.0, -camera.cx / camera.fx], [0.0, 1 / camera.fy, -camera.cy / camera.fy], [0.0, 0.0, 1.0]]
@@ -233,14 +203,14 @@ def _pose_of(camera: CameraModel, state: _ViewState) -> RigidTransform:
     return pose_from_homography(to_normalised @ state.homography)
 
 
-def _assign_poses(state: Sequence[_ViewState], poses: Sequence[RigidTransform]) -> list[_ViewState]:
+def _assign_poses(state: Sequence[ViewState], poses: Sequence[RigidTransform]) -> list[ViewState]:
     """Give the views that are still in their new poses, in order."""
     remaining = iter(poses)
     return [s if s.reason else replace(s, pose=next(remaining)) for s in state]
 
 
 def _refine(
-    state: Sequence[_ViewState],
+    state: Sequence[ViewState],
     camera: CameraModel,
     names: tuple[str, ...],
     prior: Prior | None,
@@ -258,8 +228,8 @@ def _refine(
 
 
 def _fit_robust(
-    state: Sequence[_ViewState], camera: CameraModel, names: tuple[str, ...]
-) -> tuple[list[_ViewState], CameraModel]:
+    state: Sequence[ViewState], camera: CameraModel, names: tuple[str, ...]
+) -> tuple[list[ViewState], CameraModel]:
     """Cauchy weights until they settle; the weights returned are ones again."""
     current = list(state)
     for k in range(_ROBUST_ROUNDS):
@@ -270,7 +240,7 @@ def _fit_robust(
             if s.pose is not None
         ]
         # at first the scale of the views' medians: a start far off is no reason to ignore the corners of the image
-        sigma = max(float(np.median(np.concatenate(lengths))) / _RAYLEIGH_MEDIAN, 1e-9)
+        sigma = max(float(np.median(np.concatenate(lengths))) / RAYLEIGH_MEDIAN, 1e-9)
         weights = [1.0 / np.sqrt(1.0 + (r / (_CAUCHY * sigma)) ** 2) for r in lengths]
         weighted = iter(weights)
         current = [
@@ -284,7 +254,7 @@ def _fit_robust(
     return [replace(s, observation=s.observation.with_weights(np.ones(len(s.observation.uv)))) for s in current], camera
 
 
-def _without_mirror_poses(state: Sequence[_ViewState], camera: CameraModel) -> list[_ViewState]:
+def _without_mirror_poses(state: Sequence[ViewState], camera: CameraModel) -> list[ViewState]:
     """Views that ended in the mirror image of their pose, put right (see :func:`estimate_board_pose`)."""
     errors = {
         k: float(np.median(np.linalg.norm(reprojection_residuals(camera, s.pose, s.observation), axis=1)))
@@ -306,19 +276,19 @@ def _without_mirror_poses(state: Sequence[_ViewState], camera: CameraModel) -> l
 
 
 def _reject(
-    state: Sequence[_ViewState],
+    state: Sequence[ViewState],
     views: Sequence[TargetView],
     camera: CameraModel,
     names: tuple[str, ...],
     prior: Prior | None,
     options: CameraOptions,
-) -> tuple[list[_ViewState], BundleFit]:
+) -> tuple[list[ViewState], BundleFit]:
     """Leave out points and views far off the others, and fit by least squares, until nothing changes."""
     current = list(state)
     fit: BundleFit | None = None
     for _ in range(_REJECTION_ROUNDS):
-        judged = _judge(current, camera, options)
-        if fit is not None and _same(judged, current):
+        judged = judge_views(current, camera, options.outlier_sigma, options.view_outlier_ratio)
+        if fit is not None and same_selection(judged, current):
             break
         current = judged
         _require_views(current, views)
@@ -328,48 +298,8 @@ def _reject(
     return current, fit
 
 
-def _judge(state: Sequence[_ViewState], camera: CameraModel, options: CameraOptions) -> list[_ViewState]:
-    """Mark points and views that do not fit, by robust scales."""
-    lengths = {
-        k: np.linalg.norm(reprojection_residuals(camera, s.pose, s.observation), axis=1)
-        for k, s in enumerate(state)
-        if not s.reason and s.pose is not None
-    }
-    scales = {k: float(np.median(r)) / _RAYLEIGH_MEDIAN for k, r in lengths.items()}
-    typical = max(float(np.median(list(scales.values()))), 1e-9)
-    judged = list(state)
-    candidates: list[tuple[float, int, str]] = []
-    for k, r in lengths.items():
-        keep = r < options.outlier_sigma * max(typical, scales[k])
-        rms = float(np.sqrt(np.mean(r[keep] ** 2))) / np.sqrt(2) if keep.any() else np.inf
-        if scales[k] > options.view_outlier_ratio * typical or rms > options.view_outlier_ratio * typical:
-            candidates.append(
-                (
-                    scales[k],
-                    k,
-                    f"its error is {scales[k] / typical:.1f} times that of the other views (median {np.median(r):.3g} px)",
-                )
-            )
-        elif keep.sum() < max(4, 0.7 * len(keep)):
-            candidates.append((scales[k], k, f"{int((~keep).sum())} of {len(keep)} points do not fit"))
-        else:
-            judged[k] = replace(state[k], observation=state[k].observation.with_weights(keep.astype(float)))
-    # never more than the worse half, and never below the number that is needed
-    room = min(len(lengths) // 2, len(lengths) - MIN_VIEWS)
-    for _, k, reason in sorted(candidates, reverse=True)[: max(room, 0)]:
-        judged[k] = replace(state[k], reason=reason)
-    return judged
-
-
-def _same(a: Sequence[_ViewState], b: Sequence[_ViewState]) -> bool:
-    return all(
-        x.reason == y.reason and np.array_equal(x.observation.weights, y.observation.weights)
-        for x, y in zip(a, b, strict=True)
-    )
-
-
 def _uncertainty(
-    fit: BundleFit, state: Sequence[_ViewState], least_ratio: float = 1.0
+    fit: BundleFit, state: Sequence[ViewState], least_ratio: float = 1.0
 ) -> tuple[Float[np.ndarray, " p"], float, float]:
     """Standard deviations of the parameters, sigma of a coordinate (px), and the factor that the views' spread added.
 
@@ -401,40 +331,7 @@ def _uncertainty(
     return u * ratio, float(np.sqrt(variance)), ratio
 
 
-def _lens_prior(names: tuple[str, ...], image_size: tuple[int, int], camera: CameraModel, sigma_px: float) -> Prior:
-    """What real cameras look like: principal point within 3 % of the diagonal of the centre, square pixels to 0.5 %.
-
-    Each radial term moves the corner of the image by no more than some 5 % of its distance from the centre, each tangential
-    term by 0.3 %.
-    """
-    width, height = image_size
-    diagonal = float(np.hypot(width, height))
-    corner = diagonal / 2 / np.sqrt(camera.fx * camera.fy)
-    expected = {"cx": ((width - 1) / 2, 0.03 * diagonal), "cy": ((height - 1) / 2, 0.03 * diagonal)}
-    expected |= {name: (0.0, 0.05 / corner ** (2 * power)) for name, power in (("k1", 1), ("k2", 2), ("k3", 3))}
-    expected |= dict.fromkeys(("p1", "p2"), (0.0, 0.003 / corner))
-    rows, values = [], []
-    for k, name in enumerate(names):
-        if name in expected:
-            value, u = expected[name]
-            row = np.zeros(len(names))
-            row[k] = sigma_px / u
-            rows.append(row)
-            values.append(value * sigma_px / u)
-    ratio = np.zeros(len(names))
-    ratio[[0, 1]] = np.array([1.0, -1.0]) * sigma_px / (0.005 * np.sqrt(camera.fx * camera.fy))
-    return Prior(np.array([*rows, ratio]), np.array([*values, 0.0]))
-
-
-def _plain(camera: CameraModel, image_size: tuple[int, int]) -> CameraModel:
-    """The camera with a central principal point and no distortion: a start for the regularised estimate."""
-    focal = float(np.sqrt(camera.fx * camera.fy))
-    return CameraModel(image_size, focal, focal, (image_size[0] - 1) / 2, (image_size[1] - 1) / 2)
-
-
-def _require_focal_length(
-    camera: CameraModel, names: tuple[str, ...], u_parameters: Float[np.ndarray, " p"], options: CameraOptions
-) -> None:
+def _require_focal_length(camera: CameraModel, u_parameters: Float[np.ndarray, " p"]) -> None:
     u_relative = float(min(u_parameters[0] / camera.fx, u_parameters[1] / camera.fy))
     if not u_relative < 0.1:
         raise CalibrationError(
@@ -444,7 +341,7 @@ def _require_focal_length(
         )
 
 
-def _view_result(view: TargetView, state: _ViewState, camera: CameraModel) -> CameraView:
+def _view_result(view: TargetView, state: ViewState, camera: CameraModel) -> CameraView:
     detection = view.detection
     missing = np.full((len(detection.uv), 2), np.nan)
     if state.reason:
@@ -464,7 +361,7 @@ def _view_result(view: TargetView, state: _ViewState, camera: CameraModel) -> Ca
     return CameraView(view.name, True, "", state.pose, rms, detection.uv, residuals)
 
 
-def _describe_outliers(views: Sequence[TargetView], state: Sequence[_ViewState]) -> list[str]:
+def _describe_outliers(views: Sequence[TargetView], state: Sequence[ViewState]) -> list[str]:
     lines = [f"{v.name} was left out: {s.reason}." for v, s in zip(views, state, strict=True) if s.reason]
     counts = [
         (v.name, int((s.observation.weights == 0).sum())) for v, s in zip(views, state, strict=True) if not s.reason
