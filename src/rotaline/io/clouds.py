@@ -1,5 +1,6 @@
 """Clouds and meshes as files: PLY and STL, in the table frame, mm."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -71,10 +72,24 @@ def read_points(path: Path) -> Float[np.ndarray, "n 3"]:
         raise SessionError(
             f"{path}: this is not a readable point cloud ({error}). Expected PLY, OBJ, STL or XYZ."
         ) from error
+    declared = _declared_vertices(path)
+    if declared is not None and len(points) < declared:
+        raise SessionError(
+            f"{path}: the file is cut off; its header announces {declared} points, found {len(points)}. Write it again."
+        )
     points = points[np.isfinite(points).all(axis=1)] if points.ndim == 2 and points.shape[1] == 3 else np.empty((0, 3))
     if len(points) == 0:
         raise SessionError(f"{path}: there are no points in this file.")
     return points
+
+
+def _declared_vertices(path: Path) -> int | None:
+    """The number of points in a PLY's header: its reader is content with fewer."""
+    if path.suffix.lower() != ".ply":
+        return None
+    with path.open("rb") as stream:
+        found = re.search(rb"element vertex (\d+)", stream.read(4096))
+    return int(found[1]) if found else None
 
 
 def write_mesh(path: Path, vertices_table: Float[np.ndarray, "v 3"], triangles: Int[np.ndarray, "t 3"]) -> None:
