@@ -64,7 +64,7 @@ def check(session: Session, as_json: Json = False) -> None:
             }
         )
     else:
-        from rotaline.ui.console import show_check
+        from rotaline.cli.console import show_check
 
         show_check(session, found, stages, problems)
     if found is None:
@@ -115,7 +115,7 @@ def calibrate(
     if as_json:
         sys.stdout.write(path.read_text(encoding="utf-8"))
     else:
-        from rotaline.ui.console import show_calibration
+        from rotaline.cli.console import show_calibration
 
         show_calibration(content, path)
     _exit_by_warnings(job)
@@ -237,8 +237,8 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Render a small session of a rig like the article's and run the main job on it."""
+    from rotaline.cli.console import ConsoleObserver
     from rotaline.simulation.session import demo_plan, demo_rig, write_session
-    from rotaline.ui.console import ConsoleObserver
 
     observer = ConsoleObserver(0 if quiet else 1)
     if not (folder / "session.toml").is_file():
@@ -261,10 +261,10 @@ def _open_run(
     quiet: bool,
     verbose: bool,
 ) -> "Run":
+    from rotaline.cli.console import ConsoleObserver
     from rotaline.io.session import read_session
     from rotaline.pipeline.options import read_options
     from rotaline.pipeline.run import Run, results_folder
-    from rotaline.ui.console import ConsoleObserver
 
     content = read_session(session)
     chosen = read_options(options, tuple(settings or ()))
@@ -325,7 +325,7 @@ def _show_entries(entries: Any, initial: Any, as_json: bool, warnings: Any = ())
     elif entries:
         from rich.console import Console
 
-        from rotaline.ui.console import measurement_table
+        from rotaline.cli.console import measurement_table
 
         Console(width=max(120, shutil.get_terminal_size().columns)).print(measurement_table(entries, initial))
 

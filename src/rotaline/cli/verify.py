@@ -15,8 +15,8 @@ def verify_axis_command(
 ) -> None:
     """The simulation of section 5.4 of the article: table 1, mean distance before and after optimisation of the axis."""
     from rotaline.cli.commands import print_json
+    from rotaline.cli.tables import show_axis_verification
     from rotaline.pipeline.verify_axis import verify_axis, write_convergence_picture
-    from rotaline.ui.verification import show_axis_verification
 
     verification = verify_axis()
     picture = None
@@ -36,10 +36,13 @@ def verify_stripe_command(as_json: Json = False) -> None:
     import dataclasses
 
     from rotaline.cli.commands import print_json
-    from rotaline.pipeline.verify_stripe import verify_stripe
-    from rotaline.ui.verification import show_stripe_verification
+    from rotaline.cli.console import ConsoleObserver
+    from rotaline.cli.tables import show_stripe_verification
+    from rotaline.pipeline.verify_stripe import stripe_cases, verify_stripe
 
-    rows = verify_stripe()
+    observer = ConsoleObserver(0 if as_json else 1)
+    with observer.work("cases", len(stripe_cases())) as count:
+        rows = verify_stripe(progress=lambda done, total: count())
     if as_json:
         print_json([dataclasses.asdict(row) for row in rows])
     else:

@@ -3,7 +3,7 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, cast, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -105,10 +105,10 @@ def measurement_request(
         raise SessionError(f"feature '{feature}': expected one of {', '.join(get_args(Feature))}.")
     return MeasurementRequest(
         capture=capture,
-        feature=feature,
+        feature=cast(Feature, feature),
         reference=reference,
         nominal=nominal,
-        region=region,  # type: ignore[arg-type]
+        region=region,
     )
 
 

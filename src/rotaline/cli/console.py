@@ -30,7 +30,9 @@ class ConsoleObserver:
         """Name the stage that begins."""
         LOG.info("%s%s", title, " (stored result)" if stored else "")
         if self._verbosity >= 1:
-            self._console.print(f"[bold]{title}[/bold]" + ("  [dim]stored result[/dim]" if stored else ""))
+            self._console.print(
+                f"[bold]{title}[/bold]" + ("  [dim]stored result[/dim]" if stored else ""), soft_wrap=True
+            )
 
     @contextmanager
     def work(self, label: str, total: int) -> Iterator[Callable[[], None]]:
@@ -54,12 +56,12 @@ class ConsoleObserver:
         """Show a figure."""
         LOG.info("%s", text)
         if self._verbosity >= 1:
-            self._console.print(f"  {text}", markup=False)
+            self._console.print(f"  {text}", markup=False, soft_wrap=True)
 
     def warning(self, text: str) -> None:
         """Show a warning."""
         LOG.warning("%s", text)
-        self._console.print(f"  warning: {text}", style="yellow", markup=False)
+        self._console.print(f"  warning: {text}", style="yellow", markup=False, soft_wrap=True)
 
 
 def measurement_table(entries: Sequence[MeasurementEntry], initial: Sequence[MeasurementEntry] = ()) -> Table:

@@ -1,0 +1,208 @@
+"""The command line from a rendered session to measured parts, and what a second run does."""
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from rotaline.cli.app import main
+from rotaline.io.calibration_file import read_calibration
+from rotaline.io.clouds import read_points
+from rotaline.simulation.rig import Sensor
+from rotaline.simulation.session import build_rig, small_plan, truth_path, write_session
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory):
+    """A session with every kind of capture, and the results of ``rotaline run`` on it; not to be changed."""
+    folder = tmp_path_factory.mktemp("finished")
+    rig = build_rig((480, 360))
+    plan = small_plan(rig, captures=("camera", "laser", "axis", "stepped", "ball", "rod"), shuffled=True)
+    write_session(folder / "session", rig, plan)
+    assert main(["run", str(folder / "session"), "--quiet"]) == 0
+    return folder
+
+
+def _entries(folder, name="measurements.json"):
+    return {(e["capture"], e["feature"]): e for e in json.loads((folder / name).read_text())}
+
+
+def test_all_results_are_there_and_the_session_is_untouched(finished):
+    results = finished / "session-results"
+    for name in ("calibration.json", "measurements.json", "measurements-initial-axis.json", "report.html", "log.txt"):
+        assert (results / name).stat().st_size > 0, name
+    for capture in ("stepped", "ball", "rod"):
+        assert len(read_points(results / "clouds" / f"{capture}.ply")) > 500
+    for capture in ("ball", "rod"):
+        for suffix in (".ply", ".stl"):
+            assert len(read_points(results / "meshes" / f"{capture}{suffix}")) > 500
+    assert sorted(p.name for p in finished.iterdir()) == ["session", "session-results", "session.truth.json"]
+    assert not list(results.rglob(".*"))
+
+
+def test_the_calibration_is_that_of_the_rig(finished):
+    truth = json.loads(truth_path(finished / "session").read_text())
+    found = read_calibration(finished / "session-results" / "calibration.json")
+    quality = found.quality
+    assert found.turn_sense == truth["turn_sense"]
+    assert found.table_seen
+    u = quality["camera"]["u"]
+    for name in ("fx", "fy", "cx", "cy"):
+        assert abs(getattr(found.camera, name) - truth["camera"][name]) < 4 * u[name], name
+    true_axis = truth["rotation_axis_camera"]
+    angle = np.arccos(min(1.0, float(found.rotation_axis_camera.direction @ true_axis["direction"])))
+    assert angle < 0.003
+    distance = found.rotation_axis_camera.distance_to(np.array([true_axis["point"]]))[0]
+    assert distance < 0.1
+    true_plane = truth["laser_plane_camera"]
+    assert abs(found.laser_plane_camera.normal @ true_plane["normal"]) > np.cos(0.003)
+
+
+def test_the_measured_sizes_are_those_of_the_parts(finished):
+    results = finished / "session-results"
+    entries = _entries(results)
+    assert set(entries) == {("stepped", "stepped-cylinder"), ("ball", "sphere"), ("rod", "cylinder")}
+    for entry in entries.values():
+        for key, error in entry["error"].items():
+            assert abs(error) < 0.002 * entry["reference"][key], (entry["capture"], key)
+            assert entry["error"][key] == pytest.approx(entry["value"][key] - entry["reference"][key])
+    initial = _entries(results, "measurements-initial-axis.json")
+    assert set(initial) == set(entries)
+    assert initial["rod", "cylinder"]["value"] != entries["rod", "cylinder"]["value"]
+
+
+def test_the_optimised_axis_fits_the_artefact_better_than_the_initial_one(finished):
+    figures = json.loads((finished / "session-results" / "calibration.json").read_text())["quality"]["artifact"]
+    assert figures["mean_distance_mm"] < figures["mean_distance_before_mm"]
+    assert figures["mounts"]["stepped"]["n_frames_used"] == figures["mounts"]["stepped"]["n_frames"]
+
+
+@pytest.fixture
+def copied(finished, tmp_path):
+    """A copy of the finished session and its results."""
+    for name in ("session", "session-results"):
+        shutil.copytree(finished / name, tmp_path / name)
+    return tmp_path
+
+
+def _stage_files(folder):
+    return {p.name: p.stat().st_mtime_ns for p in (folder / "session-results" / "stages").iterdir()}
+
+
+def test_a_second_run_does_nothing_again(copied, call):
+    before = _stage_files(copied)
+    outcome = call("run", copied / "session")
+    assert outcome.code == 0
+    after = _stage_files(copied)
+    assert {n: t for n, t in after.items() if n != "report.npz"} == {
+        n: t for n, t in before.items() if n != "report.npz"
+    }
+    assert outcome.err.count("stored result") > 10
+
+
+def test_a_changed_option_does_only_the_stages_that_depend_on_it_again(copied, call):
+    before = _stage_files(copied)
+    assert call("run", copied / "session", "--option", "artifact.method=least-squares").code == 0
+    changed = {name.split(".")[0] for name in set(_stage_files(copied)) - set(before)}
+    assert "artifact" in changed
+    assert "measure" in changed
+    assert not {n for n in changed if n.startswith(("stripes", "detect", "camera", "laser", "axis"))}
+
+
+def test_a_run_that_lost_its_last_stages_makes_them_again_with_the_same_result(copied, call):
+    results = copied / "session-results"
+    before = _entries(results)
+    for pattern in ("measure.*", "artifact.*", "stripes-ball.*"):
+        for path in (results / "stages").glob(pattern):
+            path.unlink()
+    (results / "measurements.json").unlink()
+    assert call("run", copied / "session").code == 0
+    after = _entries(results)
+    for key, entry in before.items():
+        assert after[key]["value"] == pytest.approx(entry["value"], rel=1e-12)
+
+
+def test_the_report_is_written_again_without_the_session(copied, call):
+    shutil.rmtree(copied / "session")
+    report = copied / "session-results" / "report.html"
+    first = report.read_text()
+    report.unlink()
+    assert call("report", copied / "session-results").code == 0
+    assert report.read_text() == first
+
+
+def test_another_session_is_scanned_with_the_calibration_of_this_one(finished, copied, tmp_path, call):
+    text = (copied / "session" / "session.toml").read_text()
+    calibration = copied / "session-results" / "calibration.json"
+    other = tmp_path / "other"
+    other.mkdir()
+    shutil.copytree(copied / "session" / "ball", other / "ball")
+    start = text.index('[[captures]]\nfolder = "ball"')
+    scans = [block for block in text[start:].split("\n\n") if '"ball"' in block]
+    (other / "session.toml").write_text("version = 1\n\n" + "\n\n".join(scans))
+    assert call("run", other, "--calibration", calibration).code == 0
+    value = _entries(tmp_path / "other-results")["ball", "sphere"]["value"]["diameter"]
+    assert value == pytest.approx(
+        _entries(finished / "session-results")["ball", "sphere"]["value"]["diameter"], abs=1e-9
+    )
+    assert call("run", other).code == 3
+
+
+def test_the_commands_on_parts_of_the_job(copied, call):
+    session, cloud = copied / "session", copied / "session-results" / "clouds" / "rod.ply"
+    outcome = call("calibrate", session, "--json", "--quiet")
+    assert outcome.code == 0
+    assert json.loads(outcome.out)["turn_sense"] in (1, -1)
+    outcome = call("scan", session, "ball", "--json", "--quiet", "--option", "scan.surface=false")
+    assert outcome.code == 0
+    assert list(json.loads(outcome.out)) == ["ball"]
+    outcome = call("measure", cloud, "--feature", "cylinder", "--reference", "diameter=38.004", "--json")
+    assert outcome.code == 0
+    entry = json.loads(outcome.out)["measurements"][0]
+    assert abs(entry["error"]["diameter"]) < 0.08
+    outcome = call("measure", session, "--capture", "ball", "--feature", "sphere", "--json", "--quiet")
+    assert outcome.code == 0
+    assert call("scan", session, "nothing").code == 2
+    assert call("measure", cloud).code == 2
+    assert call("measure", cloud, "--feature", "sphere", "--region", "z=100:200").code == 3
+
+
+def test_check_lists_what_is_there(copied, call):
+    outcome = call("check", copied / "session", "--json")
+    assert outcome.code == 0
+    document = json.loads(outcome.out)
+    assert document["usable"]
+    assert document["problems"] == []
+    assert [c["folder"] for c in document["captures"]] == ["camera", "laser", "axis", "stepped", "ball", "rod"]
+    assert all(s["possible"] for s in document["stages"])
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "plan"),
+    [
+        (
+            "left-handed, rolled, colour",
+            {"turn_sense": -1, "roll_deg": 90.0, "sensor": Sensor(colour=True)},
+            {"image_format": "jpg"},
+        ),
+        (
+            "laser on the other side, 16 bit",
+            {"camera_side": 1, "sensor": Sensor(bit_depth=16)},
+            {"image_format": "tif", "shuffled": True},
+        ),
+    ],
+)
+def test_rigs_of_other_kinds(tmp_path, call, name, options, plan):
+    rig = build_rig((480, 360), **options)
+    write_session(tmp_path / "s", rig, small_plan(rig, captures=("camera", "laser", "axis", "stepped"), **plan))
+    outcome = call("run", tmp_path / "s", "--quiet")
+    assert outcome.code == 0, outcome.err
+    truth = json.loads(truth_path(tmp_path / "s").read_text())
+    found = read_calibration(tmp_path / "s-results" / "calibration.json")
+    assert found.turn_sense == truth["turn_sense"]
+    entry = _entries(tmp_path / "s-results")["stepped", "stepped-cylinder"]
+    for key, error in entry["error"].items():
+        assert abs(error) < 0.004 * entry["reference"][key], key
+    assert dataclasses.is_dataclass(rig)
