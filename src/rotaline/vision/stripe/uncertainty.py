@@ -7,7 +7,8 @@ from rotaline.vision.stripe.background import SIDE
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.profiles import Profiles
 
-_LAG = 3  # points; the grain of speckle does not reach further
+_LAG = 3  # points between profiles whose pixels are compared
+_LAGS = (3, 8)  # points between centres that are compared
 _TRIM = 0.9
 _TRIMMED_TO_SIGMA = 1.267  # of a Gaussian cut at its 90 % quantile
 
@@ -49,7 +50,7 @@ def _trimmed(values: np.ndarray) -> float:
 
 
 def centre_scatter(
-    chains: Chains, normal: Float[np.ndarray, "n 2"]
+    chains: Chains, normal: Float[np.ndarray, "n 2"], lag: int
 ) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
     """Fourth differences of the centres along the normal, scaled to the standard deviation of one centre.
 
@@ -57,16 +58,16 @@ def centre_scatter(
 
     Returns
     -------
-    scatter : (m,)   for each point that has neighbours 3 and 6 points away on both sides, px
+    scatter : (m,)   for each point that has neighbours ``lag`` and ``2 lag`` points away on both sides, px
     index : (m,)   these points
     """
-    reach = 2 * _LAG
+    reach = 2 * lag
     if len(chains) <= 2 * reach:
         return np.zeros(0), np.zeros(0, dtype=np.int64)
     i = np.arange(reach, len(chains) - reach)
     i = i[chains.chain[i - reach] == chains.chain[i + reach]]
     uv = chains.uv
-    fourth = uv[i - reach] - 4 * uv[i - _LAG] + 6 * uv[i] - 4 * uv[i + _LAG] + uv[i + reach]
+    fourth = uv[i - reach] - 4 * uv[i - lag] + 6 * uv[i] - 4 * uv[i + lag] + uv[i + reach]
     return (fourth * normal[i]).sum(axis=1) / np.sqrt(70.0), i
 
 
@@ -76,15 +77,19 @@ def scatter_and_floor(
     """Scatter of the centres about a smooth curve, and what the noise of the pixels leaves unexplained of it, px.
 
     Speckle, texture and photon noise make the rest; it is added in square to the uncertainty of every point. The clear half
-    of the points decides, since weak points are noisy anyway. Both are 0 where there are too few points to tell.
+    of the points decides, since weak points are noisy anyway. The grain of speckle makes neighbours alike, so differences
+    over several distances are taken and the largest counts. Both are 0 where there are too few points to tell.
     """
-    scatter, index = centre_scatter(chains, normal)
-    if len(index) < 40:
-        return 0.0, 0.0
-    u = u_noise_px[index]
-    clear = u <= np.median(u)
-    measured = 1.4826 * float(np.median(np.abs(scatter[clear])))
-    expected = float(np.median(u[clear]))
-    if measured < expected * (1.0 + 2.5 / np.sqrt(clear.sum())):  # as near as such a sample can tell
-        return measured, 0.0
-    return measured, float(np.sqrt(measured**2 - expected**2))
+    measured = rest = 0.0
+    for lag in _LAGS:
+        scatter, index = centre_scatter(chains, normal, lag)
+        if len(index) < 40:
+            break
+        u = u_noise_px[index]
+        clear = u <= np.median(u)
+        expected = float(np.median(u[clear]))
+        found = 1.4826 * float(np.median(np.abs(scatter[clear])))
+        measured = max(measured, found)
+        if found > expected * (1.0 + 3.5 / np.sqrt(clear.sum())):  # more than such a sample could show by chance
+            rest = max(rest, float(np.sqrt(found**2 - expected**2)))
+    return measured, rest
