@@ -90,11 +90,6 @@ class Plate:
         v = np.clip(((r + 1) * scale).astype(int), 0, bitmap.shape[0] - 1)
         return np.asarray(printed & (bitmap[v, u] < 128))
 
-    def bounds(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """See :class:`rotaline.simulation.shapes.Shape`."""
-        x0, x1, y0, y1 = self.extent
-        return self.centre_board(), float(np.hypot(x1 - x0, y1 - y0) / 2)
-
     def sizes(self) -> dict[str, float]:
         """See :class:`rotaline.simulation.shapes.Shape`."""
         return {"pitch": self.target.pitch}

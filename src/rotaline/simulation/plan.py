@@ -4,7 +4,7 @@ A plan is complete before anything is rendered: the same plan and rig always giv
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -333,12 +333,3 @@ def small_plan(
         raise ValueError(f"Unknown captures {unknown}; there are {list(makers)}.")
     plans = tuple(makers[name]() for name in captures)
     return SessionPlan(_TARGETS, plans, tuple(measurements), image_format, seed)
-
-
-def with_ambient(plan: SessionPlan, folder: str, ambient_dn: float) -> SessionPlan:
-    """The same plan with another ambient light in one folder."""
-    captures = tuple(
-        replace(c, shots=tuple(replace(s, ambient_dn=ambient_dn) for s in c.shots)) if c.folder == folder else c
-        for c in plan.captures
-    )
-    return replace(plan, captures=captures)

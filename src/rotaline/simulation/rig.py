@@ -4,7 +4,7 @@ Frames: ``base`` is fixed, z = rotation axis, z = 0 on the table top; ``table`` 
 Grey values (DN) are those of an 8 bit image; an image of 16 bit holds 257 times as much.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -158,8 +158,3 @@ def build_rig(
     # a wide stripe is biased on curved surfaces, one narrower than this would alias: the blur comes after the pixels
     laser = Laser(plane, start, sigma_mm=0.6 * distance / focal)
     return Rig(camera, camera_from_base, laser, sensor, turn_sense)
-
-
-def with_sensor(rig: Rig, sensor: Sensor) -> Rig:
-    """The same rig behind another sensor."""
-    return replace(rig, sensor=sensor)

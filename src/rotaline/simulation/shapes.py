@@ -34,10 +34,6 @@ class Shape(Protocol):
         """Fraction of the light that comes back, 0 to 1."""
         ...
 
-    def bounds(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """Centre and radius of a sphere that holds the shape."""
-        ...
-
     def sizes(self) -> dict[str, float]:
         """The true sizes, mm, with the names that measurements have."""
         ...
@@ -79,10 +75,6 @@ class Ball:
     def albedo(self, points: Vectors, faces: Faces) -> Distances:
         """See :class:`Shape`."""
         return np.full(len(points), self.reflectance)
-
-    def bounds(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """See :class:`Shape`."""
-        return np.array([0.0, 0.0, self.diameter / 2]), self.diameter / 2
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
@@ -127,11 +119,6 @@ class Rod:
     def albedo(self, points: Vectors, faces: Faces) -> Distances:
         """See :class:`Shape`."""
         return np.full(len(points), self.reflectance)
-
-    def bounds(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """See :class:`Shape`."""
-        centre = np.array([0.0, 0.0, self.z_bottom + self.height / 2])
-        return centre, float(np.hypot(self.diameter / 2, self.height / 2))
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
@@ -182,12 +169,6 @@ class SteppedRod:
         """See :class:`Shape`."""
         return np.full(len(points), self.reflectance)
 
-    def bounds(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """See :class:`Shape`."""
-        a = self.artifact
-        height = a.height_small + a.height_large
-        return np.array([0.0, 0.0, height / 2]), float(np.hypot(a.diameter_large / 2, height / 2))
-
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
         a = self.artifact
@@ -205,7 +186,6 @@ class Polyhedron:
 
     face_normals: Float[np.ndarray, "k 3"]
     face_offsets: Float[np.ndarray, " k"]
-    radius: float
     reflectance: float = 0.8
 
     def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
@@ -232,10 +212,6 @@ class Polyhedron:
         """See :class:`Shape`."""
         return np.full(len(points), self.reflectance)
 
-    def bounds(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """See :class:`Shape`."""
-        return np.zeros(3), self.radius
-
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
         return {}
@@ -249,8 +225,7 @@ def _prism(profile_xz: list[tuple[float, float]], length: float) -> Polyhedron:
     sides = np.column_stack([outward[:, 0], np.zeros(len(corners)), outward[:, 1]])
     offsets = np.einsum("ij,ij->i", outward, corners)
     normals = np.vstack([sides, [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]])
-    radius = float(np.hypot(np.abs(corners).max() * np.sqrt(2.0), length / 2))
-    return Polyhedron(normals, np.concatenate([offsets, [length / 2, length / 2]]), radius)
+    return Polyhedron(normals, np.concatenate([offsets, [length / 2, length / 2]]))
 
 
 @dataclass(frozen=True)
@@ -290,11 +265,6 @@ class GrooveBlock:
     def albedo(self, points: Vectors, faces: Faces) -> Distances:
         """See :class:`Shape`."""
         return np.full(len(points), self.reflectance)
-
-    def bounds(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """See :class:`Shape`."""
-        half = np.array([self.width, self.length, self.height]) / 2
-        return np.array([0.0, 0.0, self.height / 2]), float(np.linalg.norm(half))
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
