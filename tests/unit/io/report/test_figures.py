@@ -20,6 +20,22 @@ def test_the_outline_of_a_board_holds_its_points(full_contents):
         np.testing.assert_allclose(board[:, :2], [[0, 0], [68, 0], [68, 60], [0, 60]], atol=0.5)
 
 
+def test_points_that_were_left_out_spoil_no_mean(full_contents):
+    """NaN residuals mark single points that were left out; the cells that they stand in keep their mean."""
+    calibration = full_contents.camera
+    view = calibration.views[0]
+    residuals = view.residuals_px.copy()
+    residuals[::7] = np.nan
+    views = (dataclasses.replace(view, residuals_px=residuals), *calibration.views[1:])
+    complete, holes = (
+        camera.residual_vectors(dataclasses.replace(calibration, views=v)).axes[1].collections[0]
+        for v in (calibration.views, views)
+    )
+    assert holes.N > 10
+    assert holes.N >= complete.N - 5
+    assert np.isfinite(holes.U).all()
+
+
 def test_the_patch_of_the_laser_plane_lies_in_it_and_holds_the_stripes(full_contents):
     calibration = full_contents.laser_plane
     points = np.vstack([v.points_camera for v in calibration.views])

@@ -3,12 +3,12 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from rotaline.calibration.model import CameraCalibration, CameraView
-from rotaline.io.report import style
+from rotaline.io.report import numbers, style
 from rotaline.vision.camera import CameraModel
 
 _MEAN_FROM = 12
@@ -20,8 +20,8 @@ def coverage(calibration: CameraCalibration) -> Figure:
     width, height = calibration.camera.image_size
     figure = style.new_figure(style.HALF_INCH, 0.35 + style.HALF_INCH * 0.9 * height / width)
     ax = figure.add_subplot()
-    used = _stack([v.uv for v in calibration.views if v.used])
-    unused = _stack([v.uv for v in calibration.views if not v.used])
+    used, _ = _used_points(calibration)
+    unused = _stack([v.uv[~_kept(v)] for v in calibration.views])
     counts, u_edges, v_edges = _cells(used, width, height)
     for i, j in zip(*np.nonzero(counts == 0), strict=True):
         cell = (float(u_edges[i]), float(v_edges[j]))
@@ -36,10 +36,9 @@ def coverage(calibration: CameraCalibration) -> Figure:
 def residual_vectors(calibration: CameraCalibration) -> Figure:
     """Residuals over the image: each point, and the mean of each cell (what the model cannot explain)."""
     width, height = calibration.camera.image_size
-    figure = style.new_figure(style.FULL_INCH, 0.5 + 0.5 * style.FULL_INCH * 0.92 * height / width)
+    figure = style.new_figure(style.FULL_INCH, 0.7 + 0.5 * style.FULL_INCH * 0.92 * height / width)
     ax_all, ax_mean = figure.subplots(1, 2)
-    used = [v for v in calibration.views if v.used]
-    uv, residuals = _stack([v.uv for v in used]), _stack([v.residuals_px for v in used])
+    uv, residuals = _used_points(calibration)
     pick = style.thinned(len(uv), 3000)
     _arrows(ax_all, uv[pick], residuals[pick], width, style.BLUE, "single points")
     counts, u_edges, v_edges = _cells(uv, width, height)
@@ -60,8 +59,7 @@ def residual_distribution(calibration: CameraCalibration) -> Figure:
     """Residuals as a cloud and as a histogram beside the normal distribution of the same spread."""
     figure = style.new_figure(style.HALF_INCH, 2.75)
     ax_cloud, ax_histogram = figure.subplots(1, 2)
-    residuals = _stack([v.residuals_px for v in calibration.views if v.used])
-    residuals = residuals[np.isfinite(residuals).all(axis=1)]
+    _, residuals = _used_points(calibration)
     if len(residuals) == 0:
         style.nothing_to_draw(ax_cloud, "no residuals")
         style.nothing_to_draw(ax_histogram, "")
@@ -152,6 +150,17 @@ def camera_frustum(camera: CameraModel, depth: float) -> Float[np.ndarray, "5 3"
     return np.vstack([np.zeros(3), np.column_stack([xy, np.ones(4)]) * depth])
 
 
+def _kept(view: CameraView) -> Bool[np.ndarray, " n"]:
+    """Points that took part: of used views, with a residual."""
+    return np.isfinite(view.residuals_px).all(axis=1) & view.used
+
+
+def _used_points(calibration: CameraCalibration) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+    """Observed pixels and residuals of all points that took part."""
+    views = calibration.views
+    return _stack([v.uv[_kept(v)] for v in views]), _stack([v.residuals_px[_kept(v)] for v in views])
+
+
 def _ratio(camera: CameraModel) -> float:
     return max(0.6, camera.image_size[1] / camera.image_size[0])
 
@@ -189,7 +198,7 @@ def _arrows(
         alpha=0.85,
     )
     length_px = style.round_down_125(0.1 * width / factor)
-    title = f"{title[0].upper()}{title[1:]}, drawn {factor:g} times as long"
+    title = f"{title[0].upper()}{title[1:]}, drawn {numbers.count(round(factor))} times as long"
     ax.set_title(title, fontsize=9, color=style.INK, loc="left", fontweight="bold")
     x0, y0 = 0.03, -0.115
     ax.annotate(

@@ -152,7 +152,7 @@ def _views(calibration: CameraCalibration) -> Table:
             Row(
                 (
                     v.name,
-                    numbers.count(len(v.uv)),
+                    numbers.count(int(np.isfinite(v.residuals_px).all(axis=1).sum())),
                     numbers.fixed(v.rms_px, 3),
                     numbers.fixed(_largest(v.residuals_px), 2),
                     numbers.fixed(float(np.linalg.norm(v.camera_from_board.translation)), 1),
@@ -168,7 +168,7 @@ def _views(calibration: CameraCalibration) -> Table:
             )
             for v in calibration.views
         ),
-        "Distance: of the board's first point from the projection centre. Tilt: between the board's normal and the optical axis.",
+        "Points: without those that were left out. Distance: of the board's first point from the projection centre. Tilt: between the board's normal and the optical axis.",
     )
 
 
