@@ -6,6 +6,7 @@ filled in from its surroundings. The centre is measured in the channel that show
 background, and not clipped. For a red laser on white paper that is green, on a dark surface red.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -79,19 +80,18 @@ def split_frame(image: Image, background: Image | None) -> Frame:
     return Frame(tuple(planes), tuple(clipped), unit)
 
 
-def score_images(frame: Frame, colour: str) -> dict[str, Float32[np.ndarray, "h w"]]:
-    """Images in which a stripe of the colour is bright; for ``auto`` one for each colour and one for grey."""
+def score_images(frame: Frame, colour: str) -> Iterator[tuple[str, Float32[np.ndarray, "h w"]]]:
+    """Images in which a stripe of the colour is bright, by name; for ``auto`` one for each colour, and grey last."""
     if len(frame.planes) == 1:
-        return {"grey": frame.planes[0]}
+        yield "grey", frame.planes[0]
+        return
     total = frame.planes[0] + frame.planes[1] + frame.planes[2]
     wanted = CHANNELS if colour == "auto" else (colour,) if colour in CHANNELS else ()
-    scores = {}
     for name in wanted:
         plane = frame.planes[CHANNELS.index(name)]
-        scores[name] = _fill_core(frame, cv2.addWeighted(plane, 1.5, total, -0.5, 0.0))
+        yield name, _fill_core(frame, cv2.addWeighted(plane, 1.5, total, -0.5, 0.0))
     if colour == "auto" or not wanted:
-        scores["grey"] = total / np.float32(3.0)
-    return scores
+        yield "grey", total / np.float32(3.0)
 
 
 def _fill_core(frame: Frame, score: np.ndarray) -> np.ndarray:
@@ -127,7 +127,7 @@ def find_stripe(
     best: list[Ridge] = []
     best_strength = 0.0
     clear = False
-    for name, score in score_images(frame, colour).items():
+    for name, score in score_images(frame, colour):
         if name == "grey" and clear:
             continue
         ridges = find_ridges(score, threshold, min_contrast * frame.unit, min_length_px)
