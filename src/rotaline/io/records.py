@@ -76,7 +76,7 @@ def _encode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     if isinstance(value, RigidTransform):
         return {"pose": _encode(value.as_matrix(), arrays)}
     if isinstance(value, tuple | list):
-        return {"tuple": [_encode(entry, arrays) for entry in value]}
+        return {type(value).__name__: [_encode(entry, arrays) for entry in value]}
     if isinstance(value, dict):
         return {"dict": {key: _encode(entry, arrays) for key, entry in value.items()}}
     kind = type(value)
@@ -95,6 +95,8 @@ def _decode(node: Any, arrays: Any) -> Any:
         return RigidTransform.from_matrix(_decode(node["pose"], arrays))
     if "tuple" in node:
         return tuple(_decode(entry, arrays) for entry in node["tuple"])
+    if "list" in node:
+        return [_decode(entry, arrays) for entry in node["list"]]
     if "dict" in node:
         return {key: _decode(entry, arrays) for key, entry in node["dict"].items()}
     module, _, name = node["class"].partition(":")

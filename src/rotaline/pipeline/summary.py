@@ -29,6 +29,7 @@ from rotaline.pipeline.options import Options
 from rotaline.pipeline.store import StageStore
 from rotaline.scanning.cloud import PointCloud
 from rotaline.vision.images import read_image, small_picture
+from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target
 
 MAX_DRAWN = 100_000
 """Points of a cloud that a picture needs at the most."""
@@ -156,9 +157,17 @@ def report_contents(
     )
 
 
-def _describe(target: object) -> str:
-    fields = dataclasses.fields(target)  # type: ignore[arg-type]
-    return f"{type(target).__name__}: " + ", ".join(f"{f.name} {getattr(target, f.name)}" for f in fields)
+def _describe(target: Target | SteppedCylinder) -> str:
+    match target:
+        case Checkerboard((columns, rows), pitch):
+            return f"checkerboard, {columns} x {rows} inner corners, pitch {pitch:g} mm"
+        case DotGrid((columns, rows), pitch, diameter):
+            size = "not stated" if diameter is None else f"{diameter:g} mm"
+            return f"dot plate, {columns} x {rows} dots, pitch {pitch:g} mm, dot diameter {size}"
+        case CharucoBoard((columns, rows), pitch, marker, dictionary):
+            return f"ChArUco board, {columns} x {rows} squares, pitch {pitch:g} mm, markers {marker:g} mm of {dictionary}"
+        case SteppedCylinder(d1, d2, h1, h2):
+            return f"stepped cylinder, diameters {d1:g} / {d2:g} mm, heights {h1:g} / {h2:g} mm"
 
 
 def versions() -> dict[str, str]:

@@ -22,7 +22,7 @@ def test_a_tree_of_values_comes_back(tmp_path):
     }
     write_record(tmp_path / "r.npz", value)
     back = read_record(tmp_path / "r.npz")
-    assert back["b"] == (1, 2.5, "text", True, None)
+    assert back["b"] == [1, 2.5, "text", True, None]
     assert back["c"] == value["c"]
     view, board = back["a"]
     assert (view.detection.uv == detection.uv).all()
