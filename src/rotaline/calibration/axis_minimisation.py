@@ -100,15 +100,16 @@ def _pose_of_least_mean_distance(model: CircleModel, unknowns: Float[np.ndarray,
     Least squares with the weights 1 / distance, repeated until they settle (Weiszfeld's iteration).
     """
     best = unknowns.copy()
+    turned = model.turned(unknowns)
     for _ in range(60):
-        residuals, slopes = model.residuals_with_slopes(best)
+        residuals, slopes = model.pose_residuals_with_slopes(turned, best)
         distance = np.linalg.norm(residuals, axis=1)
         typical = float(np.median(distance))
         root = np.repeat(1.0 / np.sqrt(np.maximum(distance, 1e-3 * typical + 1e-9)), 2)
-        system = slopes[:, :, N_AXIS:].reshape(root.size, -1) * root[:, None]
+        system = slopes.reshape(root.size, -1) * root[:, None]
         step = solve_in_blocks(system, -root * residuals.ravel())
         best[N_AXIS:] += step
-        if np.abs(step).max() <= 1e-4 * typical + 1e-12:
+        if np.abs(step).max() <= 1e-3 * typical + 1e-12:
             break
     return best
 

@@ -116,6 +116,20 @@ class CircleModel:
         with ``PcM = q - (q . Vs) Vs``, eq. (12); together they make the distance d of eq. (13).
         """
         turned, by_axis_unknowns = self._turned_with_slopes(unknowns)
+        residuals, by_point, by_pose = self._at_poses(turned, unknowns)
+        return residuals, np.concatenate([by_point @ by_axis_unknowns, by_pose], axis=2)
+
+    def pose_residuals_with_slopes(
+        self, turned: Float[np.ndarray, "n 3"], unknowns: Float[np.ndarray, " p"]
+    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 q"]]:
+        """The same for points that are turned back already, with the derivatives by the poses only."""
+        residuals, _, by_pose = self._at_poses(turned, unknowns)
+        return residuals, by_pose
+
+    def _at_poses(
+        self, turned: Float[np.ndarray, "n 3"], unknowns: Float[np.ndarray, " p"]
+    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 q"]]:
+        """Radial and axial distances, and their derivatives by the turned points and by the poses of all mounts."""
         poses = unknowns[N_AXIS:].reshape(-1, N_POSE)
         spans = np.column_stack([poses[:, 3:5], np.full(len(poses), self.lever)])
         lengths = np.linalg.norm(spans, axis=1)
@@ -132,13 +146,10 @@ class CircleModel:
         by_point = np.stack([outward, direction], axis=1)
         by_direction = np.stack([-axial[:, None] * outward, across], axis=1)  # the part along the direction is idle
         project = (np.eye(3) - directions[:, :, None] * directions[:, None, :]) / lengths[:, None, None]
-        by_tilt = (by_direction @ project[self.mount])[:, :, :2]
-        slopes = np.zeros((len(turned), 2, self.n_unknowns))
-        slopes[:, :, :N_AXIS] = by_point @ by_axis_unknowns
-        columns = N_AXIS + N_POSE * self.mount[:, None] + np.arange(N_POSE)
-        block = np.concatenate([-by_point, by_tilt], axis=2)
-        np.put_along_axis(slopes, np.broadcast_to(columns[:, None, :], block.shape), block, axis=2)
-        return residuals, slopes
+        block = np.concatenate([-by_point, (by_direction @ project[self.mount])[:, :, :2]], axis=2)
+        by_pose = np.zeros((len(turned), 2, len(poses), N_POSE))
+        by_pose[np.arange(len(turned)), :, self.mount] = block
+        return residuals, by_point, by_pose.reshape(len(turned), 2, -1)
 
     def mean_distance_with_slope(self, unknowns: Float[np.ndarray, " p"]) -> tuple[float, Float[np.ndarray, " p"]]:
         """Objective (14), the mean of eq. (13) over all points, and its gradient."""
