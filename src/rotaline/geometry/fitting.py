@@ -29,7 +29,7 @@ from rotaline.geometry.fitting_lines import (
     fit_line_orthogonal,
     fit_plane_orthogonal,
 )
-from rotaline.geometry.least_squares import covariance, minimise, variance_of_unit_weight
+from rotaline.geometry.least_squares import covariance, minimise, triangular_factor, variance_of_unit_weight
 from rotaline.geometry.primitives import Cylinder, Line, Sphere, unit
 
 __all__ = [
@@ -121,7 +121,7 @@ def fit_circle_algebraic(points: Float[np.ndarray, "n 2"]) -> Circle2DFit:
     centred, centroid, scale = _normalise(points, None, 3, "circle")
     centre, radius = _fit_taubin(centred, "circle")
     residuals, jacobian = _round_residuals(centred, np.append(centre, radius))
-    factor = np.asarray(np.linalg.qr(jacobian, mode="r"))
+    factor = triangular_factor(jacobian)
     variance = variance_of_unit_weight(residuals, None, 3)
     return Circle2DFit(
         centroid + scale * centre,
@@ -277,7 +277,7 @@ def _fit_taubin(centred: np.ndarray, shape: str) -> tuple[np.ndarray, float]:
     squared = np.einsum("ij,ij->i", centred, centred)
     mean = float(squared.mean())
     lifted = np.column_stack([(squared - mean) / (2 * np.sqrt(mean)), centred])
-    triangle = np.linalg.qr(lifted, mode="r") if len(lifted) > lifted.shape[1] else lifted
+    triangle = triangular_factor(lifted) if len(lifted) > lifted.shape[1] else lifted
     _, singular, right = np.linalg.svd(triangle, full_matrices=True)
     singular = np.concatenate([singular, np.zeros(lifted.shape[1] - len(singular))])
     if not singular[-2] > 1e-9 * singular[0]:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rotaline.errors import GeometryError
+from rotaline.geometry.least_squares import triangular_factor
 from rotaline.geometry.primitives import Line, Plane
 
 DEGENERATE = 1e-10
@@ -195,7 +196,7 @@ def _principal_axes(
     if weights is not None:
         centred = np.sqrt(weights)[:, None] * centred
     # The triangular factor has the singular values of the points and is small.
-    triangle = np.linalg.qr(centred, mode="r") if len(centred) > points.shape[1] else centred
+    triangle = triangular_factor(centred) if len(centred) > points.shape[1] else centred
     _, singular, axes = np.linalg.svd(triangle, full_matrices=True)
     singular = np.concatenate([singular, np.zeros(points.shape[1] - len(singular))])
     if not singular[0] > DEGENERATE * max(1e-300, float(np.abs(centroid).max())) * 1e-3:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from rotaline.errors import GeometryError, MeasurementError
 from rotaline.geometry.fitting import PlaneFit
+from rotaline.geometry.least_squares import triangular_factor
 from rotaline.geometry.primitives import Plane
 from rotaline.geometry.robust import ransac_plane
 from rotaline.metrology.model import FeatureMeasurement
@@ -197,7 +198,7 @@ class ParallelFit:
     normal : (3,)   common normal
     centroids : one (3,) each, mm
     offsets : positions along the normal, mm
-    residuals : signed distances of the points of each, mm
+    residuals : (n_i,) each, signed distances of the points, mm
     u_offsets : standard uncertainties along the normal at the centroids, mm
     cov_normal : (3, 3)   of the normal, rad^2
     """
@@ -205,7 +206,7 @@ class ParallelFit:
     normal: Float[np.ndarray, "3"]
     centroids: tuple[Float[np.ndarray, "3"], ...]
     offsets: tuple[float, ...]
-    residuals: tuple[Float[np.ndarray, " n"], ...]
+    residuals: tuple[Float[np.ndarray, " _"], ...]
     u_offsets: tuple[float, ...]
     cov_normal: Float[np.ndarray, "3 3"]
 
@@ -220,8 +221,8 @@ def fit_parallel(scene: Scene, fits: tuple[SurfaceFit, ...]) -> ParallelFit:
     """Fit planes of one direction to the points of several surfaces: one centroid each, one normal by singular values."""
     groups = [scene.points[fit.used] for fit in fits]
     centroids = [points.mean(axis=0) for points in groups]
-    triangle = np.linalg.qr(np.vstack([p - c for p, c in zip(groups, centroids, strict=True)]), mode="r")
-    _, singular, axes = np.linalg.svd(np.asarray(triangle))
+    triangle = triangular_factor(np.vstack([p - c for p, c in zip(groups, centroids, strict=True)]))
+    _, singular, axes = np.linalg.svd(triangle)
     first = fits[0].surface
     assert isinstance(first, Plane)
     normal = axes[2] * (1.0 if axes[2] @ first.normal > 0 else -1.0)

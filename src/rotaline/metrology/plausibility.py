@@ -25,7 +25,7 @@ def what_it_is_rather(scene: Scene, found: SurfaceFit) -> str:
     rms = float(np.sqrt(np.mean(signed_distance(found.surface, some) ** 2)))
     rivals = {"plane": fit_plane_orthogonal(some).rms}
     if isinstance(found.surface, Sphere):
-        rivals["cylinder"] = _best_cylinder_rms(found.surface, some)
+        rivals["cylinder"] = _best_cylinder_rms(found.surface, some[:: max(1, len(some) // 400)])
     else:
         rivals["sphere"] = _sphere_rms(some)
     limits = {"plane": 1.5, "cylinder": 0.8, "sphere": 0.7}

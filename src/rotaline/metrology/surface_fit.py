@@ -21,7 +21,7 @@ from rotaline.geometry.fitting import (
     fit_sphere_orthogonal,
 )
 from rotaline.geometry.primitives import Cylinder, Plane, Sphere
-from rotaline.geometry.robust import cauchy_weights, mad_scale
+from rotaline.geometry.robust import cauchy_weights
 from rotaline.metrology.scene import Scene
 from rotaline.scanning.thinning import SearchCloud, cell_keys
 
@@ -159,13 +159,15 @@ def fit_all_points(
         clear = own
     used = np.flatnonzero(clear)
     kept = used
-    for _ in range(6):
+    for _ in range(10):
         _enough(len(kept), options.min_points)
         surface, fit = fit_surface(surface, scene.points[kept])
         residuals = signed_distance(surface, scene.points[used])
-        scale = max(mad_scale(residuals), 1e-9 * scene.extent)
-        now = used[np.abs(residuals - np.median(residuals)) <= options.trim * scale]
-        if len(now) == len(kept) and np.array_equal(now, kept):
+        # The standard deviation of those kept, not of the middle ones: where the scan is precise in one place and poor in
+        # another, the poor points are no outliers.
+        scale = max(float(np.sqrt(np.mean(signed_distance(surface, scene.points[kept]) ** 2))), 1e-9 * scene.extent)
+        now = used[np.abs(residuals) <= options.trim * scale]
+        if len(now) == len(kept):
             break
         kept = now
     surface, fit = fit_surface(surface, scene.points[kept])

@@ -21,12 +21,12 @@ class Ball:
     radius: float
 
     def first_hit(self, origins: Float[np.ndarray, "n 3"], rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Distance along each unit ray to the surface; infinite where it misses."""
+        """Distance along each unit ray to the surface: infinite where it misses, 0 where it starts inside."""
         relative = origins - self.centre
         along = np.einsum("ij,ij->i", relative, rays)
         root = along**2 - np.einsum("ij,ij->i", relative, relative) + self.radius**2
-        near = -along - np.sqrt(np.maximum(root, 0.0))
-        return np.where((root > 0) & (near > 0), near, np.inf)
+        width = np.sqrt(np.maximum(root, 0.0))
+        return np.where((root > 0) & (width > along), np.maximum(-along - width, 0.0), np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Prism:
     table_from_part: RigidTransform = field(default_factory=RigidTransform.identity)
 
     def first_hit(self, origins: Float[np.ndarray, "n 3"], rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Distance along each unit ray to the surface; infinite where it misses."""
+        """Distance along each unit ray to the surface: infinite where it misses, 0 where it starts inside."""
         o = self.table_from_part.inv().apply(origins)
         r = self.table_from_part.rotation.inv().apply(rays)
         towards = r @ self.normals.T
@@ -61,7 +61,7 @@ class Prism:
                 entry = np.maximum(entry, (-b - width) / a)
                 leave = np.minimum(leave, (-b + width) / a)
             outside |= root <= 0
-        return np.where(~outside & (entry < leave) & (entry > 0), entry, np.inf)
+        return np.where(~outside & (entry < leave) & (leave > 0), np.maximum(entry, 0.0), np.inf)
 
 
 Solid = Ball | Prism
@@ -118,7 +118,8 @@ class ScanPlan:
     turn_deg: float = 360.0
     n_rays: int = 600
     laser: tuple[float, float, float] = (60.0, -150.0, 170.0)
-    camera: tuple[float, float, float] = (160.0, 120.0, 200.0)
+    camera: tuple[float, float, float] = (150.0, -110.0, 190.0)
+    aim_height: float = 20.0
     fan_deg: float = 28.0
     noise_mm: float = 0.005
     blur_rays: int = 3
@@ -136,10 +137,10 @@ class ScannedPoints:
 def scan_solids(solids: Sequence[Solid], plan: ScanPlan, rng: np.random.Generator) -> ScannedPoints:
     """Scan solids that stand on a turntable (z: rotation axis).
 
-    The laser plane holds the laser and the z axis; the fan is centred on the point (0, 0, 20).
+    The laser plane holds the laser and the z axis; the fan is centred on the axis at ``aim_height``.
     """
     laser, camera = np.asarray(plan.laser), np.asarray(plan.camera)
-    middle = np.array([0.0, 0.0, 20.0]) - laser
+    middle = np.array([0.0, 0.0, plan.aim_height]) - laser
     middle /= np.linalg.norm(middle)
     sideways = np.cross(np.cross(laser, [0.0, 0.0, 1.0]), middle)
     sideways /= np.linalg.norm(sideways)

@@ -20,6 +20,7 @@ from rotaline.geometry.fitting import (
     fit_plane_orthogonal,
     fit_sphere_orthogonal,
 )
+from rotaline.geometry.least_squares import triangular_factor
 from rotaline.geometry.primitives import Cylinder, Line, Sphere
 
 MOVES = st.builds(
@@ -175,3 +176,13 @@ AXIS_Z = Line(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 def test_degenerate_points_are_named(fit: Callable[[], object], message: str) -> None:
     with pytest.raises(GeometryError, match=message):
         fit()
+
+
+@settings(deadline=None, max_examples=30)
+@given(n=st.integers(1, 1500), p=st.integers(1, 6), seed=st.integers(0, 99))
+def test_the_triangular_factor_has_the_same_gram_matrix(n: int, p: int, seed: int) -> None:
+    matrix = np.random.default_rng(seed).normal(size=(n, p))
+    factor = triangular_factor(matrix)
+    assert factor.shape == (min(n, p), p)
+    assert np.allclose(factor.T @ factor, matrix.T @ matrix, atol=1e-9)
+    assert np.all(np.tril(factor, -1) == 0)

@@ -1,0 +1,52 @@
+"""Thinning to even density, and local normals."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rotaline.scanning.thinning import cell_keys, cell_means, extent_of, thin, thin_indices
+
+
+def stripes(n: int = 400, gap: float = 2.0, noise: float = 0.0) -> np.ndarray:
+    """A plane seen as dense stripes, 60 x 40 mm."""
+    x, y = np.meshgrid(np.arange(0, 60, gap), np.linspace(0, 40, n))
+    z = np.random.default_rng(0).normal(0, noise, x.size) if noise else np.zeros(x.size)
+    return np.column_stack([x.ravel(), y.ravel(), z])
+
+
+def test_the_dense_direction_is_thinned_until_neighbourhoods_spread_both_ways() -> None:
+    cloud = thin(stripes(), 8000)
+    assert 0.3 < cloud.spacing < 2.0
+    assert np.abs(cloud.normals[:, 2]) == pytest.approx(1.0)
+    assert cloud.roughness == pytest.approx(0.0, abs=1e-9)
+
+
+def test_noise_makes_the_cells_larger_and_tells_the_roughness() -> None:
+    points = stripes(400, 0.2, 0.3)
+    cloud = thin(points, 100_000)
+    assert np.median(np.abs(cloud.normals[:, 2])) > 0.95
+    assert cloud.roughness == pytest.approx(0.3, rel=0.4)
+    kept, cell = thin_indices(points, 100_000, 1 / 400)
+    means = cell_means(points, kept, cell)
+    assert np.std(means[:, 2]) < 0.9 * np.std(points[kept, 2])
+
+
+def test_strays_are_left_out() -> None:
+    points = np.vstack([stripes(), [[30.0, 20.0, 25.0]]])
+    assert thin(points, 8000).points[:, 2].max() < 1.0
+
+
+@settings(deadline=None, max_examples=25)
+@given(n_target=st.integers(400, 5000), seed=st.integers(0, 50))
+def test_no_more_points_than_asked_for_one_a_cell(n_target: int, seed: int) -> None:
+    points = np.random.default_rng(seed).uniform(0, 30, (6000, 3))
+    kept, cell = thin_indices(points, n_target, 1 / 400)
+    assert len(kept) <= n_target
+    assert len(np.unique(cell_keys(points[kept], points.min(axis=0), cell))) == len(kept)
+    assert np.all(np.diff(kept) > 0)
+
+
+def test_the_extent_ignores_the_outermost_points() -> None:
+    points = np.vstack([stripes(), [[1e4, 0.0, 0.0]]])
+    assert extent_of(points) == pytest.approx(np.hypot(58, 40), rel=0.05)
