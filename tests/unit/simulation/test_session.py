@@ -4,11 +4,13 @@ import csv
 import json
 import os
 import tomllib
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
+import rotaline.simulation.session as session_module
 from rotaline.errors import OutputError
 from rotaline.simulation.plan import SessionPlan, demo_plan, small_plan
 from rotaline.simulation.rig import Sensor, build_rig
@@ -112,6 +114,43 @@ def test_an_interrupted_call_leaves_nothing(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         write_session(tmp_path / "s", rig, _plan(rig, captures=("ball",)), interrupt)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupted_call_does_not_render_the_rest(tmp_path, monkeypatch):
+    rig = _rig()
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    rendered = []
+    render = session_module.render_frame
+    monkeypatch.setattr(session_module, "render_frame", lambda *a, **k: rendered.append(1) or render(*a, **k))
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_session(tmp_path / "s", rig, _plan(rig, n=16, captures=("ball",)), interrupt)
+    assert len(rendered) < 16
+
+
+def test_every_frame_has_noise_of_its_own(tmp_path):
+    rig = _rig()
+    plan = _plan(rig, captures=("ball",))
+    (capture,) = plan.captures
+    twice = replace(plan, captures=(replace(capture, shots=(capture.shots[0],) * 2),))
+    write_session(tmp_path / "s", rig, twice)
+    first, second = (cv2.imread(str(tmp_path / "s" / "ball" / f"000{i}.png"), 0) for i in (0, 1))
+    assert np.any(first != second)
+
+
+@pytest.mark.parametrize("turn_sense", [-1, 1])
+def test_the_board_on_the_table_faces_the_camera_in_the_middle_of_the_turn(turn_sense):
+    rig = _rig(turn_sense=turn_sense)
+    (capture,) = small_plan(rig, captures=("axis",)).captures
+    angles = [shot.angle_deg for shot in capture.shots]
+    (shot,) = [s for s in capture.shots if s.angle_deg == (min(angles) + max(angles)) / 2]
+    board = shot.on_table[0].moved(rig.base_from_table(shot.angle_deg))
+    front = -board.frame_from_part.rotation.as_matrix()[:, 2]
+    towards_camera = np.asarray(rig.camera_from_base.inv().translation)
+    assert front @ towards_camera / np.linalg.norm(towards_camera) > 0.97
 
 
 def test_a_folder_that_exists_is_left_alone(tmp_path):

@@ -69,6 +69,12 @@ def test_nothing_is_hit_behind_the_origin():
         assert np.all(np.isinf(t))
 
 
+def test_a_ray_along_a_face_hits_only_from_within_its_height():
+    for z, expected in ((16.0, np.inf), (14.0, 45.0)):
+        t, _ = GROOVE.intersect(np.array([-60.0, 0.0, z]), np.array([[1.0, 0.0, 0.0]]))
+        assert t[0] == pytest.approx(expected)
+
+
 def test_a_groove_that_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="groove must fit"):
         GrooveBlock(30.0, 20.0, 15.0, 16.0, 14.0, 6.0)
