@@ -43,11 +43,11 @@ _CLEAR_MISFIT_PX = 1.0
 class AxisOptions:
     """How the initial rotation axis is found."""
 
-    method: Literal["circles", "joint"] = field(
-        default="circles",
+    method: Literal["circles", "joint"] | None = field(
+        default=None,
         metadata={
-            "help": "circles: centres of the circles of the corners, as in the article; joint: one axis for the images of all frames, "
-            "better where no artefact refines the axis"
+            "help": "circles: centres of the circles of the corners, as in the article; joint: one axis for the images of all frames; "
+            "default: circles where an artefact refines the axis afterwards, joint where this axis is final"
         },
     )
     min_range_deg: float = field(

@@ -5,6 +5,7 @@ Exit codes: 0 everything asked for was done; 1 a part of it could not be done, t
 """
 
 import logging
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +21,9 @@ from rotaline.errors import (
     RotalineError,
     SessionError,
 )
+
+# Frames are worked on side by side; threads inside one small matrix product only get in each other's way.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 OK, INCOMPLETE, BAD_INPUT, NOT_POSSIBLE, NOT_WRITTEN, INTERRUPTED = 0, 1, 2, 3, 4, 130
 

@@ -16,11 +16,13 @@ def verify_axis_command(
     """The simulation of section 5.4 of the article: table 1, mean distance before and after optimisation of the axis."""
     from rotaline.cli.commands import print_json
     from rotaline.cli.tables import show_axis_verification
+    from rotaline.io.files import make_folder
     from rotaline.pipeline.verify_axis import verify_axis, write_convergence_picture
 
     verification = verify_axis()
     picture = None
     if out is not None:
+        make_folder(out)
         picture = out / "verify-axis.png"
         write_convergence_picture(verification, picture)
     if as_json:

@@ -1,15 +1,15 @@
 """Calibration of a session, stage by stage; a stage that fails is a warning, and what does not need it goes on."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
-from rotaline.calibration.artifact import ArtifactCapture, find_axis_from_artifact, optimise_axis
+from rotaline.calibration.artifact import SENSE_ASSUMED, ArtifactCapture, find_axis_from_artifact, optimise_axis
 from rotaline.calibration.cross_ratio import optimise_plane_cross_ratio
-from rotaline.calibration.feature_points import extract_feature_points
+from rotaline.calibration.feature_points import extract_mount_features
 from rotaline.calibration.intrinsics import calibrate_camera
 from rotaline.calibration.laser_plane import StripeView, calibrate_laser_plane
 from rotaline.calibration.model import (
@@ -238,10 +238,13 @@ class Calibrator:
             for d, detection in zip(detected, ordered, strict=True)
             if detection is not None
         ]
-        key = key_of(camera_key, key, self._options.axis)
+        options = self._options.axis
+        if options.method is None and not self._session.in_role("artifact"):
+            options = replace(options, method="joint")  # nothing refines this axis later
+        key = key_of(camera_key, key, options)
 
         def compute() -> AxisCalibration:
-            return calibrate_axis(camera, views, self._options.axis)
+            return calibrate_axis(camera, views, options)
 
         result = self._attempt("axis", lambda: self._store.get("axis", "Initial rotation axis", key, compute))
         if result is not None:
@@ -277,7 +280,7 @@ class Calibrator:
                     f"features-{capture.folder}",
                     f"Feature points in {capture.folder}",
                     key,
-                    partial(_feature_points, stripes, capture.folder, camera, plane, artifacts[0]),
+                    partial(_feature_points, stripes, capture.folder, camera, plane, artifacts[0], start),
                 )
             )
         key = key_of(keys)
@@ -290,6 +293,8 @@ class Calibrator:
         found = self._attempt("artifact", lambda: self._store.get("artifact", title, key, compute))
         result = None
         if found is not None:
+            if start is None:
+                self._warn("artifact", SENSE_ASSUMED)
             sense, result = found
             for mount in result.mounts:
                 used = sum(mount.frame_used)
@@ -326,8 +331,10 @@ def _feature_points(
     camera: CameraModel,
     plane_camera: Plane,
     artifact: SteppedCylinder,
+    start: tuple[Line, int] | None,
 ) -> ArtifactCapture:
-    found = [extract_feature_points(s, camera, plane_camera, artifact) for s in stripes.stripes()]
+    axis_camera = start[0] if start is not None else None
+    found = extract_mount_features(stripes.stripes(), camera, plane_camera, artifact, axis_camera)
     return ArtifactCapture(
         name=name,
         frame_names=stripes.frame_names,

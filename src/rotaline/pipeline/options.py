@@ -75,7 +75,7 @@ def option_entries() -> tuple[OptionEntry, ...]:
 def _kind(annotation: Any) -> str:
     if typing.get_origin(annotation) is typing.Literal:
         return " | ".join(str(choice) for choice in typing.get_args(annotation))
-    if isinstance(annotation, types.UnionType):
+    if typing.get_origin(annotation) in (types.UnionType, typing.Union):
         return " | ".join(_kind(part) for part in typing.get_args(annotation) if part is not type(None))
     return getattr(annotation, "__name__", str(annotation))
 

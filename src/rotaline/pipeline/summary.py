@@ -165,7 +165,9 @@ def _describe(target: Target | SteppedCylinder) -> str:
             size = "not stated" if diameter is None else f"{diameter:g} mm"
             return f"dot plate, {columns} x {rows} dots, pitch {pitch:g} mm, dot diameter {size}"
         case CharucoBoard((columns, rows), pitch, marker, dictionary):
-            return f"ChArUco board, {columns} x {rows} squares, pitch {pitch:g} mm, markers {marker:g} mm of {dictionary}"
+            return (
+                f"ChArUco board, {columns} x {rows} squares, pitch {pitch:g} mm, markers {marker:g} mm of {dictionary}"
+            )
         case SteppedCylinder(d1, d2, h1, h2):
             return f"stepped cylinder, diameters {d1:g} / {d2:g} mm, heights {h1:g} / {h2:g} mm"
 
