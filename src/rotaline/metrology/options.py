@@ -19,7 +19,7 @@ class MeasureOptions:
         },
     )
     trim: float = field(
-        default=3.5,
+        default=3.0,
         metadata={"help": "Points farther from the surface than this many standard deviations are left out."},
     )
     min_points: int = field(default=50, metadata={"help": "Fewest points that count as a surface."})

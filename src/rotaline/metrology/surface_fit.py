@@ -148,8 +148,8 @@ def fit_all_points(
     own[chosen] = True
     own &= np.abs(all_residuals) <= FOREIGN_SIGMAS * sigma
     foreign = np.abs(all_residuals) > FOREIGN_SIGMAS * sigma
-    # Noise carries points of a steep neighbour this far sideways.
-    margin = max(margin, 6.0 * sigma)
+    # Points of a steep neighbour count as foreign only from this distance on, and noise carries them as far sideways.
+    margin += FOREIGN_SIGMAS * sigma
     for _ in range(4):
         clear = own & ~_near_foreign(scene.points, own, foreign, margin)
         if np.count_nonzero(clear) >= max(options.min_points, 0.4 * np.count_nonzero(own)):

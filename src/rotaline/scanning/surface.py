@@ -150,12 +150,21 @@ def _prepare(cloud: PointCloud, options: SurfaceOptions) -> tuple[np.ndarray, np
     """Thinned points and viewpoints, the cell size, and the gap to the next point that a place on the table must allow for."""
     points = cloud.points_table
     kept, cell = thin_indices(points, options.n_points, 1 / 800)
-    angles = np.unique(cloud.angle_rad)
-    steps = np.diff(angles)
-    step = float(np.median(steps)) if len(steps) else 0.0
-    # Stripes lie a table step apart; that is farther on the rim than near the axis.
-    gaps = np.maximum(cell, 0.35 * step * np.hypot(points[kept, 0], points[kept, 1]))
+    # Stripes lie a table step apart; that is farther on the rim than near the axis, and farther where frames are missing.
+    steps = _steps(cloud.angle_rad)[kept]
+    gaps = np.maximum(cell, 0.35 * steps * np.hypot(points[kept, 0], points[kept, 1]))
     return cell_means(points, kept, cell), cloud.viewpoints_table[kept], max(cell, 1e-4 * extent_of(points)), gaps
+
+
+def _steps(angle_rad: np.ndarray) -> np.ndarray:
+    """For each point, the larger of the angles to the frames before and after it, at most three times the usual step."""
+    turn = np.mod(np.round(angle_rad, 9), 2 * np.pi)
+    angles, place = np.unique(turn, return_inverse=True)
+    if len(angles) < 2:
+        return np.zeros(len(angle_rad))
+    after = np.diff(np.append(angles, angles[0] + 2 * np.pi))
+    larger = np.maximum(after, np.roll(after, 1))
+    return np.minimum(larger, 3.0 * float(np.median(after)))[place]
 
 
 def _poisson(points: np.ndarray, normals: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
