@@ -24,8 +24,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import map_coordinates
 
-_EDGE_REACH_PX = 4.5
-
 
 @dataclass(frozen=True, eq=False)
 class Centres:
@@ -54,7 +52,7 @@ def refine_centres(
     bend: Float[np.ndarray, "n 2 2 2"] | None,
     kind: Literal["corner", "dot"],
     dot_radius: float = 0.6,
-    max_shift_px: float | None = None,
+    edge_reach_px: float = 4.5,
 ) -> Centres:
     """Refine the centres of corners or dots by point symmetry.
 
@@ -67,7 +65,7 @@ def refine_centres(
     bend : (n, 2, 2, 2) or None   second derivatives of the map from window to image, px; None for an affine map
     kind : "corner" or "dot"
     dot_radius : float   radius of the dot in units of the window
-    max_shift_px : float or None   a centre that moves farther is given up; by default a third of the window
+    edge_reach_px : float   corners: only what lies this near to the edges through the corner is looked at
 
     Returns
     -------
@@ -83,7 +81,7 @@ def refine_centres(
     axis = np.arange(-steps, steps + 1) / steps
     alpha, beta = np.meshgrid(axis, axis)
     if kind == "corner":  # only what lies near the edges can tell where they are
-        near_edge = np.minimum(np.abs(alpha), np.abs(beta)) <= _EDGE_REACH_PX / float(np.median(lengths))
+        near_edge = np.minimum(np.abs(alpha), np.abs(beta)) <= edge_reach_px / float(np.median(lengths))
         window = (1 - alpha**2) * (1 - beta**2) * near_edge
         template = np.sign(alpha * beta)
     else:
@@ -92,7 +90,7 @@ def refine_centres(
         template = np.where(radius < dot_radius, 1.0, -1.0)
     grid = _Window.lay(alpha, beta, window, template)
     places = grid.places(half_sides, bend)
-    allowed = lengths.min(axis=1) * 0.5 if max_shift_px is None else np.full(n, max_shift_px)
+    allowed = lengths.min(axis=1) * 0.5  # a centre that moves farther is given up
 
     centre = uv.astype(float).copy()
     alive = _inside(centre, half_sides, width, height)
@@ -240,5 +238,5 @@ def _filled_area(symmetric: Float[np.ndarray, "n q"], window: _Window, dot_radiu
     core = np.median(symmetric[:, radius < 0.5 * dot_radius], axis=1)
     around = np.median(symmetric[:, radius > dot_radius + 0.7 * (1 - dot_radius)], axis=1)
     with np.errstate(all="ignore"):
-        covered = (symmetric - around[:, None]) / (core - around)[:, None]
-    return np.asarray(covered.sum(axis=1) * window.step**2)
+        covered = (symmetric - around[:, None]).sum(axis=1) / (core - around)
+    return np.asarray(np.where(np.isfinite(covered), covered, 0.0) * window.step**2)

@@ -2,10 +2,10 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from rotaline.errors import DetectionError, GeometryError
-from rotaline.vision.targets.grid_map import fit_homography
+from rotaline.errors import DetectionError
+from rotaline.vision.targets.grid_map import fit_grid_map_robust, fit_homography
 from rotaline.vision.targets.measure import MeasuredGrid, measure_grid, reduce_image
 from rotaline.vision.targets.model import CharucoBoard, TargetDetection
 
@@ -38,17 +38,17 @@ def detect_charuco(grey: np.ndarray, target: CharucoBoard, coarse_size_px: int) 
     first = max(1, round(max(grey.shape) / coarse_size_px))
     most = 0
     part: DetectionError | None = None
-    for factor in (first, 1) if first > 1 else (1,):
-        coarse = reduce_image(grey, factor)
-        numbers, corners = _find_markers(coarse, int(number))
+    for scale in _scales(first, grey.size):
+        factor = max(1, round(1 / scale))
+        numbers, corners = _find_markers(_scaled(grey, scale), int(number))
         most = max(most, len(numbers))
         for legacy in (False, True) if target.squares[1] % 2 == 0 else (False,):
-            uv = (corners + 0.5) * factor - 0.5
-            homography = _board_homography(target, legacy, numbers, uv)
-            if homography is None:
+            uv = (corners + 0.5) / scale - 0.5
+            agreeing = _agreeing_markers(target, legacy, numbers, uv)
+            if agreeing is None:
                 continue
             try:
-                measured = _measure(grey, target, homography, factor)
+                measured = _measure(grey, target, *agreeing, factor)
             except DetectionError as error:
                 part = error
                 continue
@@ -56,6 +56,17 @@ def detect_charuco(grey: np.ndarray, target: CharucoBoard, coarse_size_px: int) 
     if part is not None:
         raise part
     raise DetectionError(_nothing(grey, target, most))
+
+
+def _scales(first: int, size: int) -> list[float]:
+    """Scales of the image to try: reduced as asked, as it is, enlarged by two (small markers)."""
+    return [1 / first, *([1.0] if first > 1 else []), *([2.0] if size < 3e6 else [])]
+
+
+def _scaled(grey: np.ndarray, scale: float) -> np.ndarray:
+    if scale > 1:
+        return cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    return reduce_image(grey, round(1 / scale))
 
 
 def _find_markers(image: np.ndarray, dictionary: int) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 4 2"]]:
@@ -79,60 +90,62 @@ def _marker_corners(squares: tuple[int, int], side: float, legacy: bool) -> Floa
     return centre[:, None, :] + around
 
 
-def _board_homography(
+def _agreeing_markers(
     target: CharucoBoard,
     legacy: bool,
     numbers: Int[np.ndarray, " k"],
     uv: Float[np.ndarray, "k 4 2"],
     least: int = 2,
-) -> Float[np.ndarray, "3 3"] | None:
-    """Homography from board (mm) to image that most of the markers agree with."""
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]] | None:
+    """Corners of the markers that agree on one homography: on the board (mm) and in the image; None if there are few."""
     layout = _marker_corners(target.squares, target.marker / target.pitch, legacy) * target.pitch
     known = numbers < len(layout)
-    if np.count_nonzero(known) < 2:
+    if np.count_nonzero(known) < least:
         return None
     xy, uv = layout[numbers[known]], uv[known]
-    best: np.ndarray | None = None
-    most = 1
+    best = np.zeros(len(xy), dtype=bool)
     for k in range(len(xy)):  # each marker alone predicts where the others are
-        try:
-            h = fit_homography(xy[k], uv[k])
-        except GeometryError:
-            continue
-        agreeing = _agreement(h, xy, uv)
-        for _ in range(3):
-            if agreeing.sum() < 2:
-                break
+        agreeing = np.arange(len(xy)) == k
+        for _ in range(5):
             h = fit_homography(xy[agreeing].reshape(-1, 2), uv[agreeing].reshape(-1, 2))
-            now = _agreement(h, xy, uv)
-            if np.array_equal(now, agreeing):
+            now = _agreement(h, xy, uv, far=agreeing.sum() < 3)
+            if np.array_equal(now, agreeing) or not now.any():
                 break
             agreeing = now
-        if agreeing.sum() > most:
-            best, most = h, int(agreeing.sum())
-        if most > 0.8 * len(xy):
+        if agreeing.sum() > best.sum():
+            best = agreeing
+        if best.sum() > 0.8 * len(xy):
             break
-    return best if most >= max(least, 0.4 * len(xy)) else None
+    if best.sum() < max(least, 0.4 * len(xy)):
+        return None
+    return xy[best].reshape(-1, 2), uv[best].reshape(-1, 2)
 
 
 def _agreement(
-    h: Float[np.ndarray, "3 3"], xy: Float[np.ndarray, "k 4 2"], uv: Float[np.ndarray, "k 4 2"]
-) -> np.ndarray:
-    """Markers whose corners lie within a quarter of a marker's side of where the homography puts them."""
+    h: Float[np.ndarray, "3 3"], xy: Float[np.ndarray, "k 4 2"], uv: Float[np.ndarray, "k 4 2"], far: bool
+) -> Bool[np.ndarray, " k"]:
+    """Markers whose corners lie about where the homography puts them; one from a marker or two reaches less far."""
     q = np.concatenate([xy, np.ones((*xy.shape[:2], 1))], axis=2) @ h.T
     with np.errstate(all="ignore"):
         error = np.linalg.norm(q[..., :2] / q[..., 2:] - uv, axis=2).max(axis=1)
     side = np.linalg.norm(uv - np.roll(uv, 1, axis=1), axis=2).mean(axis=1)
-    return np.asarray(error < 0.25 * side)
+    return np.asarray(error < (0.5 if far else 0.3) * side)
 
 
-def _measure(grey: np.ndarray, target: CharucoBoard, homography: Float[np.ndarray, "3 3"], factor: int) -> MeasuredGrid:
-    """Measure the corners that the homography puts into the image, first in the reduced image."""
-    points = target.points_board()
-    q = np.column_stack([points[:, :2], np.ones(len(points))]) @ homography.T
-    front = q[:, 2] * np.median(q[:, 2]) > 0
-    with np.errstate(all="ignore"):
-        uv = q[:, :2] / q[:, 2:]
+def _measure(
+    grey: np.ndarray,
+    target: CharucoBoard,
+    marker_xy: Float[np.ndarray, "n 2"],
+    marker_uv: Float[np.ndarray, "n 2"],
+    factor: int,
+) -> MeasuredGrid:
+    """Measure the corners that the markers put into the image, first in the reduced image."""
+    points = target.points_board()[:, :2]
+    side = float(np.median(np.linalg.norm(marker_uv[1:] - marker_uv[:-1], axis=1)))
+    grid_map, _, _ = fit_grid_map_robust(marker_xy, marker_uv, 0.1 * side, max_degree=3 if len(marker_xy) >= 32 else 2)
+    uv = grid_map.apply(points)
+    with np.errstate(invalid="ignore"):
+        front = np.linalg.det(grid_map.jacobian(points)) > 0
     height, width = grey.shape
     ids = np.flatnonzero(front & np.all((uv > 0) & (uv < (width - 1, height - 1)), axis=1))
     if len(ids) < _FEWEST_CORNERS:
@@ -164,7 +177,7 @@ def _nothing(grey: np.ndarray, target: CharucoBoard, most: int) -> str:
         for columns in range(3, 31):
             rows = 2 * (int(numbers.max(initial=0)) // columns + 1)
             other = CharucoBoard((columns, rows), target.pitch, target.marker, target.dictionary)
-            fits = [_board_homography(other, legacy, numbers, uv, least=4) for legacy in (False, True)]
+            fits = [_agreeing_markers(other, legacy, numbers, uv, least=4) for legacy in (False, True)]
             if columns != target.squares[0] and any(fit is not None for fit in fits):
                 return (
                     f"The markers fit a ChArUco board with {columns} squares in a row, {wanted} were expected: "

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from rotaline.errors import DetectionError
-from rotaline.vision.targets.lattice import Candidates, Lattice, Placement, grow_lattices, place_grid
+from rotaline.vision.targets.locate import locate_grid
 from rotaline.vision.targets.measure import MeasuredGrid, measure_grid, reduce_image
 from rotaline.vision.targets.model import Checkerboard, TargetDetection
 from rotaline.vision.targets.ordering import canonical, grid_rotations, permuted
@@ -32,21 +32,19 @@ def detect_checkerboard(grey: np.ndarray, target: Checkerboard, coarse_size_px: 
         if min(grey.shape) < 20 * factor or (factor == 0 and grey.size > 3e6):
             continue
         coarse = reduce_image(grey, factor) if factor else cv2.resize(grey, None, fx=2, fy=2)
-        scale = 1 / factor if factor else 2.0
-        candidates = find_saddles(coarse)
-        for lattice in grow_lattices(candidates):
-            placement, size = place_grid(lattice, target.grid_size, sheared=False)
-            if size[0] * size[1] > nearly[0] * nearly[1]:
-                nearly = size
-            if placement is None:
-                continue
-            try:
-                measured = _measure(grey, coarse, scale, target, candidates, lattice, placement)
-            except DetectionError:
-                continue
-            return _in_order(target, measured)
-        if nearly[0] * nearly[1] >= 0.5 * target.grid_size[0] * target.grid_size[1]:
-            break
+
+        def measure(ids: np.ndarray, uv: np.ndarray, _: np.ndarray, coarse: np.ndarray = coarse) -> MeasuredGrid:
+            scale = coarse.shape[1] / grey.shape[1]
+            measured = measure_grid(coarse, target, ids, uv)
+            if coarse.shape == grey.shape:
+                return measured
+            return measure_grid(grey, target, measured.point_ids, (measured.uv + 0.5) / scale - 0.5)
+
+        found, size = locate_grid(find_saddles(coarse), target, measure, max_seeds=400)
+        if found is not None:
+            return _in_order(target, found)
+        if size[0] * size[1] > nearly[0] * nearly[1]:
+            nearly = size
     raise DetectionError(_nothing(target, nearly))
 
 
@@ -54,30 +52,6 @@ def _factors(first: int) -> list[int]:
     """Reductions of the image to try: as asked, coarser (blur, glare), finer (small squares); 0 = enlarged by two."""
     finer = [first // k for k in (2, 4, 8) if first // k >= 1]
     return [first, first * 2, *finer, first * 4, 0]
-
-
-def _measure(
-    grey: np.ndarray,
-    coarse: np.ndarray,
-    scale: float,
-    target: Checkerboard,
-    candidates: Candidates,
-    lattice: Lattice,
-    placement: Placement,
-) -> MeasuredGrid:
-    grid = placement.grid_of(lattice.cells)
-    columns, rows = target.grid_size
-    inside = np.all((grid >= 0) & (grid < (columns, rows)), axis=1)
-    ids = grid[inside, 1] * columns + grid[inside, 0]
-    order = np.argsort(ids)
-    uv = candidates.uv[lattice.ids[inside]][order]
-    measured = measure_grid(coarse, target, ids[order], uv)
-    if coarse.shape != grey.shape:
-        uv = (measured.uv + 0.5) / scale - 0.5
-        measured = measure_grid(grey, target, measured.point_ids, uv)
-    if len(measured.point_ids) < 0.6 * columns * rows:
-        raise DetectionError("Too few corners of the board can be measured.")
-    return measured
 
 
 def _in_order(target: Checkerboard, measured: MeasuredGrid) -> TargetDetection:

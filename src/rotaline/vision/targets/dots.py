@@ -1,11 +1,14 @@
 """Detection of a plate of dots."""
 
+from functools import partial
+
 import cv2
 import numpy as np
+from jaxtyping import Float, Int
 
 from rotaline.errors import DetectionError
 from rotaline.vision.targets.blobs import find_blobs
-from rotaline.vision.targets.lattice import Candidates, Lattice, Placement, grow_lattices, place_grid
+from rotaline.vision.targets.locate import locate_grid
 from rotaline.vision.targets.measure import MeasuredGrid, measure_grid, reduce_image
 from rotaline.vision.targets.model import DotGrid, TargetDetection
 from rotaline.vision.targets.ordering import canonical
@@ -32,47 +35,45 @@ def detect_dots(grey: np.ndarray, target: DotGrid, coarse_size_px: int) -> Targe
     """
     first = max(1, round(max(grey.shape) / coarse_size_px))
     nearly = (0, 0)
+    best: MeasuredGrid | None = None
     for factor in (first, 1) if first > 1 else (1,):
-        coarse = reduce_image(grey, factor)
-        coarse8 = cv2.convertScaleAbs(coarse)
+        coarse = cv2.convertScaleAbs(reduce_image(grey, factor))
         for light in (False, True):
             for window in _WINDOWS_PX:
-                candidates = find_blobs(coarse8, window, light)
-                for lattice in grow_lattices(candidates, max_seeds=150):
-                    placement, size = place_grid(lattice, target.grid_size, sheared=True)
-                    if size[0] * size[1] > nearly[0] * nearly[1]:
-                        nearly = size
-                    if placement is None:
-                        continue
-                    try:
-                        measured = _measure(grey, factor, target, candidates, lattice, placement, light)
-                    except DetectionError:
-                        continue
-                    return canonical(TargetDetection(target, measured.point_ids, measured.uv, measured.u_px))
+                candidates = find_blobs(coarse, window, light)
+                measure = partial(_measure, grey, target, factor, light, candidates.size)
+                found, size = locate_grid(candidates, target, measure, max_seeds=150)
+                if size[0] * size[1] > nearly[0] * nearly[1]:
+                    nearly = size
+                if found is not None and (best is None or len(found.point_ids) > len(best.point_ids)):
+                    best = found
+                if best is not None and len(best.point_ids) > 0.8 * target.dots[0] * target.dots[1]:
+                    return canonical(TargetDetection(target, best.point_ids, best.uv, best.u_px))
+    if best is not None:
+        return canonical(TargetDetection(target, best.point_ids, best.uv, best.u_px))
     raise DetectionError(_nothing(target, nearly))
 
 
 def _measure(
     grey: np.ndarray,
-    factor: int,
     target: DotGrid,
-    candidates: Candidates,
-    lattice: Lattice,
-    placement: Placement,
+    factor: int,
     light: bool,
+    sizes: Float[np.ndarray, " k"],
+    ids: Int[np.ndarray, " n"],
+    uv: Float[np.ndarray, "n 2"],
+    numbers: Int[np.ndarray, " n"],
 ) -> MeasuredGrid:
-    grid = placement.grid_of(lattice.cells)
-    columns, rows = target.grid_size
-    inside = np.all((grid >= 0) & (grid < (columns, rows)), axis=1)
-    ids = grid[inside, 1] * columns + grid[inside, 0]
-    order = np.argsort(ids)
-    blobs = lattice.ids[inside][order]
-    uv, ids = (candidates.uv[blobs] + 0.5) * factor - 0.5, ids[order]
-    step_area = abs(float(np.linalg.det(np.cov(uv.T)) / np.linalg.det(np.cov(target.points_board()[ids, :2].T)))) ** 0.5
-    radius = float(np.sqrt(np.median(candidates.size[blobs]) * factor**2 / np.pi / step_area))
-    measured = measure_grid(grey, target, ids, uv, min(radius, 0.45 * target.pitch))
-    if (measured.sign > 0) != light or len(measured.point_ids) < 0.6 * columns * rows:
-        raise DetectionError("Too few dots of the plate can be measured.")
+    """Measure the dots, starting with the radius (mm) that the areas of the blobs tell."""
+    spread_mm, spread_px = np.cov(target.points_board()[ids, :2].T), np.cov(uv.T)
+    with np.errstate(all="ignore"):
+        area_scale = np.sqrt(np.linalg.det(spread_px) / np.linalg.det(spread_mm))  # px^2 a mm^2
+        radius = float(np.sqrt(np.median(sizes[numbers]) / np.pi / area_scale))
+    if not np.isfinite(radius) or radius == 0.0:
+        raise DetectionError("The dots that were found lie on a line.")
+    measured = measure_grid(grey, target, ids, (uv + 0.5) * factor - 0.5, min(radius, 0.45 * target.pitch))
+    if (measured.sign > 0) != light:
+        raise DetectionError("The dots have the wrong brightness.")
     return measured
 
 

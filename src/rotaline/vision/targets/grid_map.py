@@ -120,9 +120,12 @@ def _degree(n_points: int) -> int:
 
 
 def fit_grid_map(
-    xy: Float[np.ndarray, "n 2"], uv: Float[np.ndarray, "n 2"], max_degree: int = 5
+    xy: Float[np.ndarray, "n 2"],
+    uv: Float[np.ndarray, "n 2"],
+    max_degree: int = 5,
+    weights: Float[np.ndarray, " n"] | None = None,
 ) -> tuple[GridMap, Float[np.ndarray, "n 2"], float]:
-    """Fit the map by least squares.
+    """Fit the map by (weighted) least squares.
 
     Returns
     -------
@@ -135,7 +138,8 @@ def fit_grid_map(
     GeometryError
         If fewer than four points are given, or they lie on a line.
     """
-    homography = fit_homography(xy, uv)
+    homography = fit_homography(xy, uv, weights)
+    root = np.ones((len(xy), 1)) if weights is None else np.sqrt(weights)[:, None]
     centre, spread = uv.mean(axis=0), max(float(np.ptp(uv, axis=0).max()) / 2, 1e-9)
     degree = min(_degree(len(xy)), max_degree)
     grid_map = GridMap(homography, centre, spread, 0, np.zeros((1, 2)))
@@ -144,7 +148,7 @@ def fit_grid_map(
     if degree:
         q, _ = grid_map._ideal(xy)
         monomials = _monomials((q - centre) / spread, degree)
-        coefficients = np.linalg.lstsq(monomials, residuals, rcond=1e-8)[0]
+        coefficients = np.linalg.lstsq(monomials * root, residuals * root, rcond=1e-8)[0]
         grid_map = GridMap(homography, centre, spread, degree, coefficients)
         residuals = uv - grid_map.apply(xy)
         parameters = 2 * monomials.shape[1] + 2
@@ -158,8 +162,8 @@ def fit_grid_map_robust(
 ) -> tuple[GridMap, Bool[np.ndarray, " n"], float]:
     """Fit the map and leave out the points that do not follow it.
 
-    A point is left out where its residual exceeds both ``floor_px`` and five robust standard deviations; the fit starts with
-    a stiff map and is repeated with a softer one until the same points stay.
+    Weights that fall with the residual (Cauchy) find the map that most points follow; then a point is left out where its
+    residual exceeds both ``floor_px`` and six robust standard deviations.
 
     Returns
     -------
@@ -167,15 +171,17 @@ def fit_grid_map_robust(
     kept : (n,)   points that follow the map
     rms_px : float   of the kept points, see :func:`fit_grid_map`
     """
-    kept = np.ones(len(xy), dtype=bool)
-    grid_map, _, rms = fit_grid_map(xy, uv, min(max_degree, 3))
-    for _ in range(10):
-        distance = np.linalg.norm(uv - grid_map.apply(xy), axis=1)
-        scale = 1.4826 * float(np.median(distance[kept])) / 1.1774  # Rayleigh: median = 1.1774 sigma
-        now = distance <= max(floor_px, 5.0 * scale)
-        if now.sum() < max(4, len(xy) // 3) or np.array_equal(now, kept):
-            break
-        kept = now
-        grid_map, _, rms = fit_grid_map(xy[kept], uv[kept], max_degree)
+    weights = np.ones(len(xy))
+    distance, scale = np.zeros(len(xy)), 0.0
+    degree = min(_degree(len(xy)), max_degree)
+    freedom = max(0.2, 1 - ((degree + 1) * (degree + 2) + 2 if degree else 8) / (2 * len(xy)))
+    for _ in range(8):
+        grid_map, residuals, _ = fit_grid_map(xy, uv, max_degree, weights)
+        distance = np.linalg.norm(residuals, axis=1)
+        scale = float(np.median(distance)) / 1.1774 / np.sqrt(freedom)  # Rayleigh: median = 1.1774 sigma
+        weights = 1.0 / (1.0 + (distance / max(2.0 * scale, 0.1 * floor_px)) ** 2)
+    kept = distance <= max(floor_px, 6.0 * scale)
+    if kept.sum() < max(4, len(xy) // 3):
+        kept = np.ones(len(xy), dtype=bool)
     grid_map, _, rms = fit_grid_map(xy[kept], uv[kept], max_degree)
     return grid_map, kept, rms

@@ -18,6 +18,7 @@ from rotaline.vision.targets.grid_map import fit_grid_map_robust
 
 _NEIGHBOURS = 20
 _STEP_TOLERANCE = 0.3  # of a step; the next point must stand this close to its prediction
+_MAX_PLACEMENTS = 6
 _MINIMUM = 8  # points of a lattice worth looking at
 
 
@@ -231,24 +232,30 @@ def _median_step(cells: Int[np.ndarray, "n 2"], uv: Float[np.ndarray, "n 2"]) ->
     return float(np.median(np.linalg.norm(uv[pairs[:, 0]] - uv[pairs[:, 1]], axis=1)))
 
 
-_SHEARS = ((1, 0, 0, 1), (1, 1, 0, 1), (1, -1, 0, 1), (1, 0, 1, 1), (1, 0, -1, 1))
+def _shears(odd_too: bool) -> list[Int[np.ndarray, "2 2"]]:
+    """Changes between steps along the grid lines and along diagonals of the grid."""
+    shears = [np.eye(2, dtype=int)]
+    for k in (1, -1, 2, -2) if odd_too else (2, -2):
+        shears += [np.array([[1, k], [0, 1]]), np.array([[1, 0], [k, 1]])]
+    return shears
 
 
-def place_grid(lattice: Lattice, grid_size: tuple[int, int], sheared: bool) -> tuple[Placement | None, tuple[int, int]]:
-    """Lay a grid of the expected size over the lattice.
+def place_grid(
+    lattice: Lattice, grid_size: tuple[int, int], alternating: bool
+) -> tuple[list[Placement], tuple[int, int]]:
+    """Places where a grid of the expected size may lie on the lattice.
 
-    The grid fits where its border lines are well occupied and the lines next to it outside are not. A quarter turn is tried
-    where the size allows it, and with ``sheared`` also lattices whose steps run along diagonals of the grid.
+    Both ways round are tried, and lattices whose steps run along diagonals of the grid; where points are ``alternating``
+    (corners), these are steps of two rows aside. Which place is right shows when the missing points are looked for.
 
     Returns
     -------
-    placement : Placement or None   None: the size is another one
+    placements : list of Placement   the most likely first; empty if the size is another one
     found : (columns, rows)   size of the well-occupied part of the lattice
     """
-    best: tuple[float, Placement] | None = None
+    proposals: list[tuple[float, int, Placement]] = []
     seen = (0, 0)
-    for shear in _SHEARS if sheared else _SHEARS[:1]:
-        matrix = np.array(shear).reshape(2, 2)
+    for order, matrix in enumerate(_shears(odd_too=not alternating)):
         cells = lattice.cells @ matrix.T
         low = cells.min(axis=0)
         shape = cells.max(axis=0) - low + 1
@@ -259,57 +266,45 @@ def place_grid(lattice: Lattice, grid_size: tuple[int, int], sheared: bool) -> t
         core = _core(occupied)
         if core[0] * core[1] > seen[0] * seen[1]:
             seen = core
-        for turned in (False, True):
+        inverse = np.round(np.linalg.inv(matrix)).astype(int)
+        for turned in (False, True) if grid_size[0] != grid_size[1] else (False,):
             size = grid_size[::-1] if turned else grid_size
-            score, corner = _best_window(occupied, size)
-            if corner is None or (best is not None and score <= best[0]):
-                continue
-            inverse = np.round(np.linalg.inv(matrix)).astype(int)
-            first = np.array(corner) + low
-            axes = np.eye(2, dtype=int)
-            if turned:  # columns run along the second lattice axis, rows against the first: right-handed
-                first = first + np.array([size[0] - 1, 0])
-                steps = (axes[1], -axes[0])
-            else:
-                steps = (axes[0], axes[1])
-            best = (score, Placement(inverse @ first, inverse @ steps[0], inverse @ steps[1]))
-        if best is not None and best[0] > 0.98:
-            break
-    return (best[1] if best else None), seen
+            for score, corner in _windows(occupied, size):
+                first = np.array(corner) + low
+                if turned:  # columns run along the second lattice axis, rows against the first: right-handed
+                    first = first + np.array([size[0] - 1, 0])
+                    steps = np.array([0, 1]), np.array([-1, 0])
+                else:
+                    steps = np.array([1, 0]), np.array([0, 1])
+                placement = Placement(inverse @ first, inverse @ steps[0], inverse @ steps[1])
+                proposals.append((-score, order, placement))
+    proposals.sort(key=lambda p: p[:2])
+    return [placement for _, _, placement in proposals[:_MAX_PLACEMENTS]], seen
 
 
-def _best_window(occupied: Bool[np.ndarray, "a b"], size: tuple[int, int]) -> tuple[float, tuple[int, int] | None]:
-    """Place of the window with the given size that holds most points, if it is convincing; its filled part."""
-    padded = np.pad(occupied.astype(int), ((size[0], size[0]), (size[1], size[1])))
+def _windows(occupied: Bool[np.ndarray, "a b"], size: tuple[int, int]) -> list[tuple[float, tuple[int, int]]]:
+    """Windows of the given size that hold nearly all points that one can hold, and how they fill: points inside minus outside."""
+    height, width = size
+    padded = np.pad(occupied.astype(int), ((height, height), (width, width)))
     total = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
 
-    def count(i: int, j: int, height: int, width: int) -> int:
-        return int(total[i + height, j + width] - total[i, j + width] - total[i + height, j] + total[i, j])
+    def count(i: int, j: int, rows: int, columns: int) -> int:
+        i1, j1 = min(i + rows, padded.shape[0]), min(j + columns, padded.shape[1])
+        i, j = max(i, 0), max(j, 0)
+        return int(total[i1, j1] - total[i, j1] - total[i1, j] + total[i, j])
 
-    sums = (
-        total[size[0] :, size[1] :]
-        - total[: -size[0], size[1] :]
-        - total[size[0] :, : -size[1]]
-        + total[: -size[0], : -size[1]]
-    )
-    i, j = (int(x) for x in np.unravel_index(int(sums.argmax()), sums.shape))
-    height, width = size
-    filled = float(sums[i, j]) / (height * width)
-    borders = (
-        count(i, j, 1, width) / width,
-        count(i + height - 1, j, 1, width) / width,
-        count(i, j, height, 1) / height,
-        count(i, j + width - 1, height, 1) / height,
-    )
-    outside = [
-        count(i - 1, j, 1, width) / width if i > 0 else 0.0,
-        count(i + height, j, 1, width) / width if i + height < padded.shape[0] else 0.0,
-        count(i, j - 1, height, 1) / height if j > 0 else 0.0,
-        count(i, j + width, height, 1) / height if j + width < padded.shape[1] else 0.0,
-    ]
-    if filled < 0.6 or min(borders) < 0.4 or max(outside) > 0.5:
-        return 0.0, None
-    return filled, (i - height, j - width)
+    sums = total[height:, width:] - total[:-height, width:] - total[height:, :-width] + total[:-height, :-width]
+    windows = []
+    for i, j in np.argwhere(sums >= max(0.5 * height * width, 0.97 * sums.max())).tolist():
+        outside = (
+            count(i - 1, j, 1, width) / width,
+            count(i + height, j, 1, width) / width,
+            count(i, j - 1, height, 1) / height,
+            count(i, j + width, height, 1) / height,
+        )
+        if max(outside) <= 0.6:
+            windows.append((float(sums[i, j]) / (height * width) - 0.1 * max(outside), (i - height, j - width)))
+    return windows
 
 
 def _core(occupied: Bool[np.ndarray, "a b"]) -> tuple[int, int]:

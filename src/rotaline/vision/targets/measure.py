@@ -12,8 +12,9 @@ from rotaline.vision.targets.grid_map import GridMap, fit_grid_map_robust
 from rotaline.vision.targets.model import CharucoBoard, DotGrid, Target
 
 _CORNER_REACH_PX = 18.0  # half a window; farther out a corner's edges add little and cost time
+_EDGE_REACH_PX = 4.5  # half the width of the band along an edge that tells where it is
 _LARGEST_WINDOW_PX = 26.0  # dots that are larger are measured in a reduced image
-_OUTLIER_FLOOR_PX = 0.04
+_OUTLIER_FLOOR_PX = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +27,7 @@ class MeasuredGrid:
     uv : (n, 2)   px
     u_px : float   standard deviation of a coordinate about the smooth map of the grid
     sign : int   corners: +1 if the sector towards +x +y of point 0 is bright, -1 if it is dark; dots: +1 light, -1 dark
+    contrast : float   standard deviation of the grey values about a point, median
     grid_map : GridMap   board (mm) to image (px)
     """
 
@@ -33,6 +35,7 @@ class MeasuredGrid:
     uv: Float[np.ndarray, "n 2"]
     u_px: float
     sign: int
+    contrast: float
     grid_map: GridMap
 
 
@@ -66,12 +69,13 @@ def measure_grid(
         known = (point_ids[kept], uv[kept])
         found = np.zeros(0, dtype=int), np.zeros((0, 2))
         sign = 0
-        rms = float("nan")
-        for _ in range(2):
-            centres, ids, radius = _measure(image, target, grid_map, known, dot_radius)
+        rms, contrast = float("nan"), 0.0
+        for first in (True, False):
+            centres, ids, radius = _measure(image, target, grid_map, known, dot_radius, first)
             good, sign = _acceptable(target, ids, centres)
             if np.count_nonzero(good) < 6:
                 raise DetectionError(_few(int(good.sum()), len(ids)))
+            contrast = float(np.median(centres.contrast[good]))
             if radius is not None:
                 dot_radius = float(np.median(radius[good]))
             grid_map, kept, rms = fit_grid_map_robust(xy[ids[good]], centres.uv[good], floor_px=_OUTLIER_FLOOR_PX)
@@ -79,7 +83,46 @@ def measure_grid(
             known = found
     except GeometryError as error:
         raise DetectionError("The points that were found do not form a grid.") from error
-    return MeasuredGrid(found[0], found[1], rms, sign, grid_map)
+    measured = MeasuredGrid(found[0], found[1], rms, sign, contrast, grid_map)
+    if not isinstance(target, CharucoBoard):
+        _check_rim(image, target, measured, dot_radius)
+    return measured
+
+
+def _check_rim(image: np.ndarray, target: Target, measured: MeasuredGrid, dot_radius: float | None) -> None:
+    """A grid ends where it should: its border lines were found, and there is no further line beside them.
+
+    Raises
+    ------
+    DetectionError
+        If not: the grid is misplaced, or the target has another size.
+    """
+    columns, rows = target.grid_size
+    found = np.zeros((rows, columns), dtype=bool)
+    found.ravel()[measured.point_ids] = True
+    if min(found[0].mean(), found[-1].mean(), found[:, 0].mean(), found[:, -1].mean()) < 0.35:
+        raise DetectionError("A border line of the grid is missing.")
+    i, j = np.arange(columns), np.arange(rows)
+    sides = [
+        np.stack([i, np.full(columns, -1)], axis=1),
+        np.stack([i, np.full(columns, rows)], axis=1),
+        np.stack([np.full(rows, -1), j], axis=1),
+        np.stack([np.full(rows, columns), j], axis=1),
+    ]
+    for side in sides:
+        xy = side * target.pitch
+        at = measured.grid_map.apply(xy)
+        width = image.shape[1]
+        inside = np.all((at > 0) & (at < (width - 1, image.shape[0] - 1)), axis=1)
+        if inside.sum() < 0.5 * len(side):
+            continue
+        xy, cells = xy[inside], side[inside]
+        centres, _ = _refine(image, target, measured.grid_map, xy, at[inside], dot_radius, first=False)
+        signs = np.ones(len(cells)) if isinstance(target, DotGrid) else 1 - 2 * (cells.sum(axis=1) % 2)
+        good = (centres.agreement * signs * measured.sign > 0.6) & (centres.asymmetry < 0.25)
+        good &= centres.contrast > 0.3 * measured.contrast
+        if np.count_nonzero(good & np.isfinite(centres.uv[:, 0])) > 0.5 * len(side):
+            raise DetectionError("The grid goes on beyond its expected size.")
 
 
 def _few(good: int, total: int) -> str:
@@ -103,8 +146,12 @@ def _measure(
     grid_map: GridMap,
     known: tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2"]],
     dot_radius: float | None,
+    first: bool,
 ) -> tuple[Centres, Int[np.ndarray, " m"], Float[np.ndarray, " m"] | None]:
-    """Refine all points of the grid that lie in the image: centres, their numbers, dots: radius of each, mm."""
+    """Refine all points of the grid that lie in the image: centres, their numbers, dots: radius of each, mm.
+
+    The ``first`` time corners are looked for in windows that catch them from farther away.
+    """
     xy = target.points_board()[:, :2]
     start = grid_map.apply(xy)
     start[known[0]] = known[1]
@@ -112,13 +159,32 @@ def _measure(
     with np.errstate(invalid="ignore"):
         inside = np.all((start >= 0) & (start <= (width - 1, height - 1)), axis=1)
     ids = np.flatnonzero(inside)
-    start = start[ids]
-    jacobian, bend = grid_map.jacobian(xy[ids]), grid_map.bend(xy[ids], 0.1 * target.pitch)
+    centres, radius = _refine(image, target, grid_map, xy[ids], start[ids], dot_radius, first)
+    return centres, ids, radius
+
+
+def _refine(
+    image: np.ndarray,
+    target: Target,
+    grid_map: GridMap,
+    xy: Float[np.ndarray, "n 2"],
+    start: Float[np.ndarray, "n 2"],
+    dot_radius: float | None,
+    first: bool,
+) -> tuple[Centres, Float[np.ndarray, " n"] | None]:
+    """Refine points of the plane of the target; see :func:`_measure`."""
+    jacobian, bend = grid_map.jacobian(xy), grid_map.bend(xy, 0.1 * target.pitch)
     px_per_mm = np.linalg.norm(jacobian, axis=1).max(axis=1)
     if dot_radius is None:
-        reach = np.minimum(_corner_reach(target), _CORNER_REACH_PX / px_per_mm)
-        half, bent = jacobian * reach[:, None, None], bend * (reach**2)[:, None, None, None]
-        return refine_centres(image, start, half, bent, "corner"), ids, None
+        reach, edge_reach = 0.45 * target.pitch, _EDGE_REACH_PX * (2 if first else 1)
+        if isinstance(target, CharucoBoard):  # up to the cells of the markers, past their black rim
+            symmetric = (target.pitch - target.marker) / 2 + 0.1 * target.marker
+            reach = symmetric if first else reach
+            edge_reach = min(edge_reach, symmetric * float(np.median(px_per_mm)))
+        reaches = np.minimum(reach, _CORNER_REACH_PX / px_per_mm)
+        half, bent = jacobian * reaches[:, None, None], bend * (reaches**2)[:, None, None, None]
+        centres = refine_centres(image, start, half, bent, "corner", edge_reach_px=edge_reach)
+        return centres, None
     gap = max(target.pitch - 2 * dot_radius, 0.0)
     wanted = max(1.5 * dot_radius, dot_radius + 2.5 / float(np.median(px_per_mm)))
     window = min(wanted, dot_radius + 0.45 * gap)
@@ -130,16 +196,7 @@ def _measure(
     centres = refine_centres(image, start, half, bent, "dot", dot_radius / window)
     radius = np.sqrt(np.maximum(centres.filled, 0.0) / np.pi) * window
     full = (centres.uv + 0.5) * factor - 0.5
-    return Centres(full, centres.asymmetry, centres.contrast, centres.agreement, centres.filled), ids, radius
-
-
-def _corner_reach(target: Target) -> float:
-    """How far from a corner its surroundings look the same after half a turn, mm."""
-    if isinstance(
-        target, CharucoBoard
-    ):  # up to the cells of the markers, past their black rim (one of at least six cells)
-        return (target.pitch - target.marker) / 2 + 0.1 * target.marker
-    return 0.45 * target.pitch
+    return Centres(full, centres.asymmetry, centres.contrast, centres.agreement, centres.filled), radius
 
 
 def _acceptable(target: Target, ids: Int[np.ndarray, " n"], centres: Centres) -> tuple[np.ndarray, int]:

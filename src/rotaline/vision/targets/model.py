@@ -1,6 +1,6 @@
 """Calibration targets and what was detected of them.
 
-A target's points lie in its own frame ``board``: z = 0, x along the columns, y along the rows, mm, (0, 0) at the first point,
+A target's points lie in its own frame ``board``: z = 0 (or near it, where the target is known to be bent), x along the columns, y along the rows, mm, (0, 0) at the first point,
 seen from the front x right, y down (so z points away from the viewer). The order is row by row: point ``r * columns + c``
 stands at ``(c * pitch, r * pitch)``.
 """
@@ -10,10 +10,46 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+Bend = tuple[float, float, float]
+"""Coefficients (mm) of the height of a bent target, see :func:`bend_basis`."""
 
-def _grid(columns: int, rows: int, pitch: float) -> Float[np.ndarray, "n 3"]:
+FLAT: Bend = (0.0, 0.0, 0.0)
+
+
+def bend_basis(
+    grid_size: tuple[int, int], pitch: float, xy_board: Float[np.ndarray, "k 2"]
+) -> Float[np.ndarray, "k 3"]:
+    """Heights (along z of the ``board`` frame) for unit coefficients of a target's bend.
+
+    The columns are ``x^2, x y, y^2`` of coordinates about the centre of the grid in units of its half diagonal, each less
+    the plane that lies nearest over all points of the grid: a bend does not move or tilt the target.
+
+    Parameters
+    ----------
+    grid_size : columns, rows
+    pitch : mm
+    xy_board : (k, 2)   mm, where
+    """
+    upper = np.array([grid_size[0] - 1, grid_size[1] - 1]) * pitch
+    r, c = np.mgrid[0 : grid_size[1], 0 : grid_size[0]]
+    grid = np.stack([c.ravel(), r.ravel()], axis=1) * pitch
+
+    def terms(xy: Float[np.ndarray, "k 2"]) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+        x, y = (2 * (xy - upper / 2) / np.linalg.norm(upper)).T
+        return np.stack([x * x, x * y, y * y], axis=1), np.stack([np.ones_like(x), x, y], axis=1)
+
+    curved, flat = terms(grid)
+    plane = np.linalg.lstsq(flat, curved, rcond=None)[0]
+    curved, flat = terms(xy_board)
+    return np.asarray(curved - flat @ plane)
+
+
+def _grid(columns: int, rows: int, pitch: float, bend: Bend) -> Float[np.ndarray, "n 3"]:
     r, c = np.mgrid[0:rows, 0:columns]
-    return np.stack([c.ravel() * pitch, r.ravel() * pitch, np.zeros(rows * columns)], axis=1)
+    points = np.stack([c.ravel() * pitch, r.ravel() * pitch, np.zeros(rows * columns)], axis=1)
+    if bend != FLAT:
+        points[:, 2] = bend_basis((columns, rows), pitch, points[:, :2]) @ np.array(bend)
+    return points
 
 
 @dataclass(frozen=True)
@@ -22,6 +58,7 @@ class Checkerboard:
 
     inner_corners: tuple[int, int]
     pitch: float
+    bend: Bend = FLAT
 
     @property
     def grid_size(self) -> tuple[int, int]:
@@ -30,7 +67,7 @@ class Checkerboard:
 
     def points_board(self) -> Float[np.ndarray, "n 3"]:
         """All inner corners, mm, in the ``board`` frame."""
-        return _grid(*self.inner_corners, self.pitch)
+        return _grid(*self.inner_corners, self.pitch, self.bend)
 
 
 @dataclass(frozen=True)
@@ -40,6 +77,7 @@ class DotGrid:
     dots: tuple[int, int]
     pitch: float
     diameter: float | None = None
+    bend: Bend = FLAT
 
     @property
     def grid_size(self) -> tuple[int, int]:
@@ -48,7 +86,7 @@ class DotGrid:
 
     def points_board(self) -> Float[np.ndarray, "n 3"]:
         """All dot centres, mm, in the ``board`` frame."""
-        return _grid(*self.dots, self.pitch)
+        return _grid(*self.dots, self.pitch, self.bend)
 
 
 @dataclass(frozen=True)
@@ -59,6 +97,7 @@ class CharucoBoard:
     pitch: float
     marker: float
     dictionary: str
+    bend: Bend = FLAT
 
     @property
     def grid_size(self) -> tuple[int, int]:
@@ -67,10 +106,17 @@ class CharucoBoard:
 
     def points_board(self) -> Float[np.ndarray, "n 3"]:
         """All inner corners, mm, in the ``board`` frame."""
-        return _grid(*self.grid_size, self.pitch)
+        return _grid(*self.grid_size, self.pitch, self.bend)
 
 
 Target = Checkerboard | DotGrid | CharucoBoard
+
+
+def target_height(target: Target, xy_board: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, " k"]:
+    """Height (mm) of a target's surface over z = 0 of its frame, 0 for a flat one."""
+    if target.bend == FLAT:
+        return np.zeros(len(xy_board))
+    return np.asarray(bend_basis(target.grid_size, target.pitch, xy_board) @ np.array(target.bend))
 
 
 @dataclass(frozen=True, eq=False)
