@@ -53,6 +53,7 @@ def refine_centres(
     kind: Literal["corner", "dot"],
     dot_radius: float = 0.6,
     edge_reach_px: float = 4.5,
+    max_steps: int = 10,
 ) -> Centres:
     """Refine the centres of corners or dots by point symmetry.
 
@@ -66,6 +67,7 @@ def refine_centres(
     kind : "corner" or "dot"
     dot_radius : float   radius of the dot in units of the window
     edge_reach_px : float   corners: only what lies this near to the edges through the corner is looked at
+    max_steps : int   steps of the search; a centre that still moves after them is given up
 
     Returns
     -------
@@ -96,7 +98,7 @@ def refine_centres(
     alive = _inside(centre, half_sides, width, height)
     active = alive.copy()
     asymmetry, contrast, agreement, filled = (np.full(n, np.nan) for _ in range(4))
-    for _ in range(12):
+    for _ in range(max_steps):
         index = np.flatnonzero(active)
         if not len(index):
             break

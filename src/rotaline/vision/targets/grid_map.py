@@ -175,7 +175,7 @@ def fit_grid_map_robust(
     distance, scale = np.zeros(len(xy)), 0.0
     degree = min(_degree(len(xy)), max_degree)
     freedom = max(0.2, 1 - ((degree + 1) * (degree + 2) + 2 if degree else 8) / (2 * len(xy)))
-    for _ in range(8):
+    for _ in range(6):
         grid_map, residuals, _ = fit_grid_map(xy, uv, max_degree, weights)
         distance = np.linalg.norm(residuals, axis=1)
         scale = float(np.median(distance)) / 1.1774 / np.sqrt(freedom)  # Rayleigh: median = 1.1774 sigma

@@ -77,8 +77,8 @@ class Placement:
         return np.round((cells - self.origin) @ np.linalg.inv(steps).T).astype(int)
 
 
-def grow_lattices(candidates: Candidates, max_seeds: int = 400) -> Iterator[Lattice]:
-    """Lattices among the candidates, each from a fresh seed; the candidates' order is the order of the seeds."""
+def grow_lattices(candidates: Candidates, least: int = _MINIMUM, max_seeds: int = 400) -> Iterator[Lattice]:
+    """Lattices of at least so many points among the candidates, each from a fresh seed, in the order of the candidates."""
     n = len(candidates.uv)
     if n < _MINIMUM:
         return
@@ -95,7 +95,7 @@ def grow_lattices(candidates: Candidates, max_seeds: int = 400) -> Iterator[Latt
         if star is None:
             continue
         assigned = _grow(candidates, seed, star, near)
-        if len(assigned) < _MINIMUM:
+        if len(assigned) < least:
             continue
         lattice = _fill(candidates, assigned, tree)
         used[lattice.ids] = True
@@ -255,7 +255,8 @@ def place_grid(
     """
     proposals: list[tuple[float, int, Placement]] = []
     seen = (0, 0)
-    for order, matrix in enumerate(_shears(odd_too=not alternating)):
+    enough = len(lattice) >= 0.5 * grid_size[0] * grid_size[1]
+    for order, matrix in enumerate(_shears(odd_too=not alternating) if enough else [np.eye(2, dtype=int)]):
         cells = lattice.cells @ matrix.T
         low = cells.min(axis=0)
         shape = cells.max(axis=0) - low + 1

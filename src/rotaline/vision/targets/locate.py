@@ -30,7 +30,7 @@ def locate_grid(
     best: MeasuredGrid | None = None
     nearly = (0, 0)
     total = target.grid_size[0] * target.grid_size[1]
-    for lattice in grow_lattices(candidates, max_seeds):
+    for lattice in grow_lattices(candidates, max(8, min(total // 7, 40)), max_seeds):
         placements, size = place_grid(lattice, target.grid_size, alternating=not isinstance(target, DotGrid))
         if size[0] * size[1] > nearly[0] * nearly[1]:
             nearly = size

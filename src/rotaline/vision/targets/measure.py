@@ -117,7 +117,7 @@ def _check_rim(image: np.ndarray, target: Target, measured: MeasuredGrid, dot_ra
         if inside.sum() < 0.5 * len(side):
             continue
         xy, cells = xy[inside], side[inside]
-        centres, _ = _refine(image, target, measured.grid_map, xy, at[inside], dot_radius, first=False)
+        centres, _ = _refine(image, target, measured.grid_map, xy, at[inside], dot_radius, False, max_steps=4)
         signs = np.ones(len(cells)) if isinstance(target, DotGrid) else 1 - 2 * (cells.sum(axis=1) % 2)
         good = (centres.agreement * signs * measured.sign > 0.6) & (centres.asymmetry < 0.25)
         good &= centres.contrast > 0.3 * measured.contrast
@@ -171,6 +171,7 @@ def _refine(
     start: Float[np.ndarray, "n 2"],
     dot_radius: float | None,
     first: bool,
+    max_steps: int = 10,
 ) -> tuple[Centres, Float[np.ndarray, " n"] | None]:
     """Refine points of the plane of the target; see :func:`_measure`."""
     jacobian, bend = grid_map.jacobian(xy), grid_map.bend(xy, 0.1 * target.pitch)
@@ -183,7 +184,7 @@ def _refine(
             edge_reach = min(edge_reach, symmetric * float(np.median(px_per_mm)))
         reaches = np.minimum(reach, _CORNER_REACH_PX / px_per_mm)
         half, bent = jacobian * reaches[:, None, None], bend * (reaches**2)[:, None, None, None]
-        centres = refine_centres(image, start, half, bent, "corner", edge_reach_px=edge_reach)
+        centres = refine_centres(image, start, half, bent, "corner", edge_reach_px=edge_reach, max_steps=max_steps)
         return centres, None
     gap = max(target.pitch - 2 * dot_radius, 0.0)
     wanted = max(1.5 * dot_radius, dot_radius + 2.5 / float(np.median(px_per_mm)))
@@ -193,7 +194,7 @@ def _refine(
         image = reduce_image(image, factor)
     start = (start + 0.5) / factor - 0.5
     half, bent = jacobian * (window / factor), bend * (window**2 / factor)
-    centres = refine_centres(image, start, half, bent, "dot", dot_radius / window)
+    centres = refine_centres(image, start, half, bent, "dot", dot_radius / window, max_steps=max_steps)
     radius = np.sqrt(np.maximum(centres.filled, 0.0) / np.pi) * window
     full = (centres.uv + 0.5) * factor - 0.5
     return Centres(full, centres.asymmetry, centres.contrast, centres.agreement, centres.filled), radius
