@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from rotaline.errors import GeometryError
-from rotaline.geometry.fitting import Line2DFit, PlaneFit, fit_line_2d, fit_plane_orthogonal
+from rotaline.geometry.fitting import Line2DFit, PlaneFit, across, fit_line_2d, fit_plane_orthogonal
 from rotaline.geometry.primitives import Cylinder, Line, Plane, Sphere
 from rotaline.geometry.sampling import (
     BLOCK,
@@ -270,7 +270,8 @@ def ransac_cylinder(
 ) -> tuple[Cylinder, Bool[np.ndarray, " n"]]:
     """Find the cylinder that most points lie on.
 
-    Two points with normals make a cylinder: its axis is at right angles to both normals, and they meet on it [1]_.
+    Two points with normals make a cylinder: its axis is at right angles to both normals, and they meet on it [1]_. Where the
+    direction is known, three points make one, without their normals.
 
     Parameters
     ----------
@@ -290,14 +291,26 @@ def ransac_cylinder(
     """
     require_points(points, 5, "cylinder")
 
+    def through_three(samples: np.ndarray) -> np.ndarray:
+        assert direction is not None
+        e1, e2 = across(direction)
+        p = np.stack([points[samples] @ e1, points[samples] @ e2], axis=2)
+        a, b = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+        twice_area = 2.0 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        a2, b2 = np.sum(a**2, axis=1), np.sum(b**2, axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            x = (b[:, 1] * a2 - a[:, 1] * b2) / twice_area
+            y = (a[:, 0] * b2 - b[:, 0] * a2) / twice_area
+        radii = np.hypot(x, y)
+        radii = np.where((radii >= radius_range[0]) & (radii <= radius_range[1]), radii, np.nan)
+        centres = np.outer(p[:, 0, 0] + x, e1) + np.outer(p[:, 0, 1] + y, e2)
+        return np.column_stack([centres, np.broadcast_to(direction, centres.shape), radii])
+
     def propose(samples: np.ndarray) -> np.ndarray:
         p, n = points[samples], normals[samples]
-        if direction is None:
-            axes = np.cross(n[:, 0], n[:, 1])
-            axes[np.linalg.norm(axes, axis=1) < np.sin(np.deg2rad(5.0))] = np.nan
-            axes = _unit_rows(axes)
-        else:
-            axes = np.broadcast_to(direction, (len(samples), 3))
+        axes = np.cross(n[:, 0], n[:, 1])
+        axes[np.linalg.norm(axes, axis=1) < np.sin(np.deg2rad(5.0))] = np.nan
+        axes = _unit_rows(axes)
         flat_p = p - np.einsum("ijk,ik->ij", p, axes)[..., None] * axes[:, None]
         flat_n = n - np.einsum("ijk,ik->ij", n, axes)[..., None] * axes[:, None]
         lengths = np.linalg.norm(flat_n, axis=2, keepdims=True)
@@ -316,7 +329,8 @@ def ransac_cylinder(
         residuals[agreement < np.cos(max_angle_rad) * distance] = np.inf
         return residuals
 
-    model, inliers = sample_consensus(len(points), 2, threshold, rng, propose, score, n_min, "cylinder")
+    n_sample, maker = (2, propose) if direction is None else (3, through_three)
+    model, inliers = sample_consensus(len(points), n_sample, threshold, rng, maker, score, n_min, "cylinder")
     return Cylinder(Line(model[:3], model[3:6]), float(model[6])), inliers
 
 

@@ -147,12 +147,34 @@ def search_cylinder(
     GeometryError
         If there is none.
     """
+    if direction is not None:
+        return _settled_cylinder(scene, cloud, radius_range, direction)
+    # Most cylinders stand upright on the table. That guess needs no normals, which are poor where frames are few.
+    upright = np.array([0.0, 0.0, 1.0]) if scene.table is None else scene.table.normal
+    found = []
+    for guess in (None, upright):
+        try:
+            found.append(_settled_cylinder(scene, cloud, radius_range, guess))
+        except GeometryError as error:
+            failure = error
+    if not found:
+        raise failure
+    return max(found, key=lambda candidate: np.count_nonzero(candidate[1]))
+
+
+def _settled_cylinder(
+    scene: Scene,
+    cloud: SearchCloud,
+    radius_range: tuple[float, float],
+    direction: Float[np.ndarray, "3"] | None,
+) -> tuple[Cylinder, np.ndarray]:
+    """The best sample, fitted again to the points that agree with it until their number no longer grows."""
     n_min = max(30, len(cloud.points) // 50)
     band = search_band(scene)
     cylinder, on = ransac_cylinder(
         cloud.points, cloud.normals, band, scene.rng(), MAX_NORMAL_RAD, radius_range, direction, n_min
     )
-    for _ in range(3):
+    for _ in range(6):
         settled, _ = settle(cylinder, cloud.points[on], 2 * band)
         assert isinstance(settled, Cylinder)
         again = agrees(settled, cloud, band)
@@ -174,12 +196,18 @@ def sphere_coverage(outward: Float[np.ndarray, "n 3"]) -> float:
 
 
 def turn_coverage(cylinder: Cylinder, points: Float[np.ndarray, "n 3"]) -> float:
-    """Fraction of the turn about a cylinder's axis that the points cover; gaps up to 15 deg do not count."""
+    """Fraction of the turn about a cylinder's axis that the points cover.
+
+    Gaps up to 15 deg do not count, nor, with few frames a turn, those that are usual between the stripes.
+    """
     e1, e2 = across(cylinder.axis.direction)
     relative = points - cylinder.axis.point
     angle = np.sort(np.arctan2(relative @ e2, relative @ e1))
     gaps = np.diff(np.append(angle, angle[0] + 2 * np.pi))
-    return float(1.0 - np.sum(gaps[gaps > np.deg2rad(15.0)]) / (2 * np.pi))
+    between_stripes = gaps[gaps > np.deg2rad(2.0)]
+    usual = float(np.median(between_stripes)) if len(between_stripes) >= 6 else 0.0
+    tolerated = max(np.deg2rad(15.0), min(2.0 * usual, np.deg2rad(60.0)))
+    return float(1.0 - np.sum(gaps[gaps > tolerated]) / (2 * np.pi))
 
 
 def _find(scene: Scene, kind: str, nominal: dict[str, float] | None) -> SurfaceFit:
