@@ -60,6 +60,9 @@ def stripe_cases() -> dict[str, StripeScene]:
         f"one-sided 36 from {e:+g} px": replace(base, one_sided=36.0, edge_px=e) for e in (-4.0, -2.0, 0.0, 2.0, 4.0)
     }
     cases |= {f"speckle 0.1, sigma {s:g} px": replace(base, speckle_contrast=0.1, sigma_px=s) for s in (1.0, 2.0)}
+    cases |= {
+        f"sigma {s:g} px, {a:g} deg": replace(base, sigma_px=s, angle_deg=a) for s in (0.6, 0.8) for a in (2.0, 20.0)
+    }
     return cases
 
 

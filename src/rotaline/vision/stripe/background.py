@@ -18,18 +18,32 @@ _SHAPE = 0.06  # part of a width, times step over stripe height: what is left op
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """Background of n profiles.
+    """Background of n profiles: a line, or a level with a blurred step.
 
     Attributes
     ----------
-    value : (n, m)   under every sample
-    slope_variance : (n,)   variance of its slope at the centre, for a pixel variance of 1
+    level : (n,)   grey value at the profile's origin, without the step
+    slope : (n,)   grey values a px
+    step, place_px, blur_px : (n,)   height of a step, its distance from the profile's origin, its standard deviation
+    slope_variance : (n,)   variance of the slope, for a pixel variance of 1
     u_edge_px : (n,)   uncertainty of the centre from an edge under the stripe; 0 where there is none
     """
 
-    value: Float[np.ndarray, "n m"]
+    level: Float[np.ndarray, " n"]
+    slope: Float[np.ndarray, " n"]
+    step: Float[np.ndarray, " n"]
+    place_px: Float[np.ndarray, " n"]
+    blur_px: Float[np.ndarray, " n"]
     slope_variance: Float[np.ndarray, " n"]
     u_edge_px: Float[np.ndarray, " n"]
+
+    def at(self, offset_px: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
+        """Grey values at distances from the profiles' origins along their normals."""
+        value = self.level[:, None] + self.slope[:, None] * offset_px
+        k = np.flatnonzero(self.step)
+        if len(k):
+            value[k] += self.step[k, None] * ndtr((offset_px[k] - self.place_px[k, None]) / self.blur_px[k, None])
+        return np.asarray(value)
 
 
 def side_background(
@@ -45,8 +59,9 @@ def side_background(
     dx = (x - mean_x[:, None]) * o
     s_xx = np.maximum((dx * dx).sum(axis=1), 1e-9)
     slope = np.where(both, (dx * p).sum(axis=1) / s_xx, 0.0)
-    value = mean_p[:, None] + slope[:, None] * (x - mean_x[:, None])
-    return Background(value, np.where(both, 1.0 / s_xx, 0.0), np.zeros(len(x)))
+    none = np.zeros(len(x))
+    level = mean_p - slope * (mean_x + shift_px)
+    return Background(level, slope, none, none, none + 1.0, np.where(both, 1.0 / s_xx, 0.0), none)
 
 
 def step_background(
@@ -94,13 +109,17 @@ def step_background(
     edge = ndtr((x - place[:, None] * w) / blur[:, None])
     best, c = _linear_fit([*stripe, edge], p, use)
     gain = own.window_mean(rest_line - best, _POOL)
-    won = (gain > 9.0 * np.maximum(noise[index], 0.3) ** 2) & (c[:, 0] > 0)
-    u_edge, value, shift = line.u_edge_px.copy(), line.value.copy(), shift_px.copy()
-    value[index[won]] = (c[:, 3, None] + c[:, 4, None] * edge)[won]
-    move = c[:, 1] / np.maximum(c[:, 0], 1e-9) * w[:, 0]
-    shift[index[won]] += np.clip(move, -w[:, 0], w[:, 0])[won]
-    u_edge[index[won]] = (_SHAPE * w[:, 0] * np.abs(c[:, 4]) / np.maximum(c[:, 0], 1e-9))[won]
-    return Background(value, np.where(u_edge > 0, 0.0, line.slope_variance), u_edge), shift
+    won = (gain > 9.0 * np.maximum(noise[index], 0.3) ** 2) & (c[:, 0] > 1e-9)
+    taken = index[won]
+    place, blur, w, c, x0 = place[won], blur[won], w[won, 0], c[won], shift_px[taken]
+    ground = {name: getattr(line, name).copy() for name in ("level", "slope", "step", "place_px", "blur_px")}
+    ground["level"][taken], ground["slope"][taken], ground["step"][taken] = c[:, 3], 0.0, c[:, 4]
+    ground["place_px"][taken], ground["blur_px"][taken] = place * w + x0, blur
+    shift, u_edge = shift_px.copy(), line.u_edge_px.copy()
+    shift[taken] += np.clip(c[:, 1] / c[:, 0] * w, -w, w)
+    u_edge[taken] = _SHAPE * w * np.abs(c[:, 4]) / c[:, 0]
+    slope_variance = np.where(ground["step"] != 0.0, 0.0, line.slope_variance)
+    return Background(**ground, slope_variance=slope_variance, u_edge_px=u_edge), shift
 
 
 def _mean(values: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -7,6 +7,8 @@ from jaxtyping import Float
 
 from rotaline.vision.stripe.profiles import Profiles
 
+_LEAST_WINDOW_PX = 1.0
+
 
 @dataclass(frozen=True, eq=False)
 class Centres:
@@ -37,9 +39,12 @@ def weighted_centroid(
 ) -> Centres:
     """Centroid of the grey values under a Gaussian window that moves with it.
 
-    The fixed point of ``sum((p - b) w d) = 0`` is sought, ``d`` the distance from the centre and ``w`` a Gaussian of
-    ``window`` stripe widths. At ``window = 1`` this is the least-squares centre of a Gaussian stripe. The window is
-    symmetric about the result, so where it cuts the profile does not pull the centre to one side.
+    With a stripe ``A g(d)`` of Gaussian shape on the background b, the fixed point of ``sum((p - b - A g) w d) = 0`` is sought,
+    ``d`` the distance from the centre and ``w`` a Gaussian of ``window`` stripe widths; ``A`` follows from
+    ``sum((p - b - A g) w) = 0``. Where the stripe is wider than a pixel, ``sum(g w d)`` vanishes and this is the plain centroid
+    ``sum((p - b) w d) = 0``; where it is thinner, that sum is what the coarse samples alone would move the centroid by. The window
+    is never narrower than a pixel: what a thin stripe's shape differs from a Gaussian then hardly matters. At ``window = 1`` this is the least-squares centre of a Gaussian stripe. The window is symmetric about the result, so where it
+    cuts the profile does not pull the centre to one side.
 
     Parameters
     ----------
@@ -52,30 +57,44 @@ def weighted_centroid(
     """
     d = profiles.offset_px
     above = np.where(profiles.valid, profiles.value - background, 0.0)
-    sigma = np.maximum(window * width_px, 0.5)
+    share = np.where(profiles.valid, profiles.weight, 0.0)
+    variance = width_px**2
+    window_variance = np.maximum(window * width_px, _LEAST_WINDOW_PX) ** 2
+    same = bool(np.array_equal(variance, window_variance))
+    by_shape, by_window = -0.5 / variance[:, None], -0.5 / window_variance[:, None]
     shift = start_px.copy()
-    gain = 1.0 + window**2  # Newton's step for a Gaussian stripe
     with np.errstate(all="ignore"):
-        for _ in range(n_iterations):
+        for k in range(n_iterations + 1):
             x = d - shift[:, None]
-            weighted = above * np.exp(-0.5 * (x / sigma[:, None]) ** 2)
-            step = gain * (weighted * x).sum(axis=1) / weighted.sum(axis=1)
-            shift = shift + np.clip(np.where(np.isfinite(step), step, 0.0), -1.5 * width_px, 1.5 * width_px)
-        x = d - shift[:, None]
-        weight = np.where(profiles.valid, np.exp(-0.5 * (x / sigma[:, None]) ** 2), 0.0)
-        score = weight * x
-        weighted = above * weight
-        mass = weighted.sum(axis=1)
-        variance = (score**2 * profiles.gain).sum(axis=1) + slope_variance * (score * x).sum(axis=1) ** 2
-        steepness = (weighted * (1.0 - (x / sigma[:, None]) ** 2)).sum(axis=1)
-        u = np.sqrt(variance) / steepness
-        moment = (weighted * x * x).sum(axis=1) / mass
-        width = np.sqrt(np.maximum(moment * sigma**2 / np.maximum(sigma**2 - moment, 1e-3 * sigma**2), 0.1))
-        # the height of the Gaussian that holds as much under the window
-        spacing = mass / np.maximum(weight.sum(axis=1), 1e-9)
-        height = spacing * np.sqrt(1.0 + (sigma / width) ** 2)
-    bad = ~((mass > 0) & (steepness > 0) & np.isfinite(u))
+            square = x * x
+            g = np.exp(square * by_shape)
+            w = share * (g if same else np.exp(square * by_window))
+            wg = w * g
+            wp = w * above
+            g0, g1, g2 = wg.sum(axis=1), _dot(wg, x), _dot(wg, square)
+            p0, p1 = wp.sum(axis=1), _dot(wp, x)
+            determinant = g0 * g2 - g1 * g1
+            height = (g2 * p0 - g1 * p1) / determinant
+            step = variance * (g0 * p1 - g1 * p0) / (g2 * p0 - g1 * p1)
+            if k < n_iterations:
+                shift = shift + np.clip(np.where(np.isfinite(step), step, 0.0), -1.5 * width_px, 1.5 * width_px)
+        noise = w * w * profiles.gain
+        k0, k1, k2 = noise.sum(axis=1), _dot(noise, x), _dot(noise, square)
+        from_slope = g0 * _dot(w, square) - g1 * _dot(w, x)
+        u = variance / (height * determinant)
+        u = u * np.sqrt(g0 * g0 * k2 - 2.0 * g0 * g1 * k1 + g1 * g1 * k0 + slope_variance * from_slope**2)
+        product = variance * window_variance / (variance + window_variance)
+        moment = _dot(wp, square) / p0 - g2 / g0 + product
+        width = np.sqrt(
+            np.maximum(moment * window_variance / np.maximum(window_variance - moment, 1e-3 * window_variance), 0.1)
+        )
+    bad = ~((p0 > 0) & (height > 0) & np.isfinite(u) & (u > 0))
     return Centres(np.where(bad, np.nan, shift), u, np.minimum(width, 3.0 * width_px), height)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sum of products, row by row."""
+    return np.asarray(np.einsum("nm,nm->n", a, b))
 
 
 def fit_gaussian(
@@ -97,7 +116,7 @@ def fit_gaussian(
     fit_background : bool   also fit a level and a slope
     """
     d = profiles.offset_px
-    use = np.where(profiles.valid & ~profiles.clipped, 1.0 / np.maximum(profiles.gain, 0.05), 0.0)
+    use = np.where(profiles.valid & ~profiles.clipped, profiles.weight / np.maximum(profiles.gain, 0.05), 0.0)
     target = np.where(profiles.valid, profiles.value - background, 0.0)
     n_parameters = 5 if fit_background else 3
     theta = np.zeros((len(d), 5))
@@ -124,9 +143,10 @@ def fit_gaussian(
     design, _ = _design(theta, d, target, n_parameters)
     normal = (design * use[:, :, None]).transpose(0, 2, 1) @ design
     diagonal = np.einsum("nii->ni", normal)
-    covariance = np.linalg.inv(normal + (1e-9 * diagonal + 1e-12)[:, :, None] * np.eye(n_parameters))
-    u = np.sqrt(np.maximum(covariance[:, 0, 0], 0.0))
-    enough = (use > 0).sum(axis=1) >= n_parameters + 1
+    inverse = np.linalg.inv(normal + (1e-9 * diagonal + 1e-12)[:, :, None] * np.eye(n_parameters))
+    influence = (design * use[:, :, None]) @ inverse[:, :, :1]
+    u = np.sqrt((influence[:, :, 0] ** 2 * profiles.gain).sum(axis=1))
+    enough = np.where(use > 0, profiles.weight, 0.0).sum(axis=1) >= n_parameters + 1
     bad = ~(enough & (theta[:, 2] > 0) & np.isfinite(u) & (u > 0) & (theta[:, 1] < 3.0 * width_px + 1.0))
     return Centres(np.where(bad, np.nan, theta[:, 0]), u, theta[:, 1], theta[:, 2])
 

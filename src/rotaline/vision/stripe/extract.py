@@ -12,7 +12,7 @@ from rotaline.vision.stripe.centres import Centres, fit_gaussian, weighted_centr
 from rotaline.vision.stripe.curve import Chains, break_chains
 from rotaline.vision.stripe.ends import average_along, sound_ends
 from rotaline.vision.stripe.model import StripePoints
-from rotaline.vision.stripe.profiles import Profiles
+from rotaline.vision.stripe.profiles import Profiles, pixel_strips
 from rotaline.vision.stripe.rows import cross_rows, flat_centroid
 from rotaline.vision.stripe.signal import find_stripe, measuring_plane, split_frame
 from rotaline.vision.stripe.steger import steger_centres
@@ -23,7 +23,10 @@ Method = Literal["gray-gravity", "improved-gray-gravity", "steger", "profile-fit
 Channel = Literal["auto", "red", "green", "blue"]
 Colour = Literal["auto", "red", "green", "blue", "none"]
 
-_WINDOWS = (1.0, 1.5, 2.0)
+_WINDOWS = (1.0, 2.0)  # widths of the stripe
+_WIDER = 1.05  # a wider window, which minds the shape of the profile less, may cost so much scatter
+_REACH = 3.5  # widths of the window
+_WIDTH_PASSES = 2
 _WIDTH_RATIO = 2.2
 
 
@@ -113,7 +116,7 @@ def _measure(
     profiles, width = trace.profiles, trace.width_px
     zero = u_edge = np.zeros(len(width))
     line = side_background(profiles, zero, width)
-    rough = weighted_centroid(profiles, line.value, line.slope_variance, zero, width)
+    rough = weighted_centroid(profiles, line.at(profiles.offset_px), line.slope_variance, zero, width)
     found = np.isfinite(rough.shift_px)
     start = np.where(found, rough.shift_px, 0.0)
     noise = pixel_noise(profiles, trace.chains, start, width, 0.29 * unit)
@@ -127,7 +130,7 @@ def _measure(
         floor = _scatter(trace, centres, noise)[1]
     else:
         ground, start = step_background(profiles, trace.chains, start, width, line, noise)
-        centres, floor = _centres(trace, ground, start, rough, noise, options)
+        centres, floor = _centres(trace, image, clipped, ground, start, rough, noise, options)
         u_edge = ground.u_edge_px
     core = np.abs(profiles.offset_px - start[:, None]) <= 1.5 * width[:, None]
     saturated = (profiles.clipped & core).any(axis=1)
@@ -162,45 +165,69 @@ def _measure(
 
 def _centres(
     trace: Trace,
+    image: Float32[np.ndarray, "h w"],
+    clipped: Bool[np.ndarray, "h w"] | None,
     ground: Background,
     start: Float[np.ndarray, " n"],
     rough: Centres,
     noise: Float[np.ndarray, " n"],
     options: StripeOptions,
 ) -> tuple[Centres, float]:
-    """Centres, and the floor of their uncertainty."""
-    profiles, width = trace.profiles, trace.width_px
+    """Centres, measured on the pixels, and the floor of their uncertainty."""
+    uv = trace.chains.uv + start[:, None] * trace.normal
+    shift = zero = np.zeros(len(start))
+
+    def strips(half_length_px: Float[np.ndarray, " n"]) -> tuple[Profiles, Float[np.ndarray, "n m"]]:
+        pixels = pixel_strips(image, clipped, uv, trace.normal, half_length_px)
+        return pixels, ground.at(pixels.offset_px + start[:, None])
+
+    width = trace.width_px
     if options.method == "profile-fit":
-        centres = fit_gaussian(profiles, ground.value, start, width, rough.height)
+        centres = _moved(fit_gaussian(*strips(4.5 * width + 1.5), zero, width, rough.height), start)
         return centres, _scatter(trace, centres, noise)[1]
+    for _ in range(_WIDTH_PASSES):
+        pixels, under = strips(_REACH * width + 1.5)
+        one = weighted_centroid(pixels, under, ground.slope_variance, shift, width, n_iterations=2)
+        usable = np.isfinite(one.shift_px)
+        shift = np.where(usable, one.shift_px, 0.0)
+        measured = np.where(usable, np.clip(one.width_px, 0.6 * trace.width_px, 1.5 * trace.width_px), width)
+        width = trace.chains.window_mean(measured, 10)
     best: tuple[float, float, Centres] | None = None
     for window in _WINDOWS:
-        centres = weighted_centroid(profiles, ground.value, ground.slope_variance, start, width, window)
+        pixels, under = strips(_REACH * window * width + 1.5)
+        centres = _moved(weighted_centroid(pixels, under, ground.slope_variance, shift, width, window, 3), start)
         scatter, floor = _scatter(trace, centres, noise)
-        if best is None or scatter < 0.9 * best[0]:
+        if best is None or scatter < _WIDER * best[0]:
             best = (scatter, floor, centres)
         if floor < 0.5 * scatter:
             break  # the noise of the pixels explains the scatter: the narrow window is the best
     assert best is not None
-    return _replace_clipped(best[2], profiles, ground, start, width, rough), best[1]
+    _, floor, centres = best
+    hit = np.asarray(trace.profiles.clipped.any(axis=1))
+    if hit.any():
+        pixels, under = strips(4.5 * width + 1.5)
+        fit = fit_gaussian(pixels.select(hit), under[hit], zero[hit], width[hit], 1.5 * rough.height[hit], False)
+        centres = _replaced(centres, hit, _moved(fit, start[hit]), start, width)
+        floor = _scatter(trace, centres, noise)[1]
+    return centres, floor
 
 
-def _replace_clipped(
+def _moved(centres: Centres, by_px: Float[np.ndarray, " n"]) -> Centres:
+    """The centres counted from other origins."""
+    return replace(centres, shift_px=centres.shift_px + by_px)
+
+
+def _replaced(
     centres: Centres,
-    profiles: Profiles,
-    ground: Background,
+    which: Bool[np.ndarray, " n"],
+    fit: Centres,
     start: Float[np.ndarray, " n"],
     width: Float[np.ndarray, " n"],
-    rough: Centres,
 ) -> Centres:
-    """Where samples are clipped, a Gaussian through the others takes the centroid's place, if there are enough."""
-    clipped = np.asarray(profiles.clipped.any(axis=1))
-    if not clipped.any():
-        return centres
-    part = profiles.select(clipped)
-    fit = fit_gaussian(part, ground.value[clipped], start[clipped], width[clipped], 1.5 * rough.height[clipped], False)
-    taken = np.isfinite(fit.shift_px) & (np.abs(fit.shift_px - start[clipped]) < width[clipped])
-    index = np.flatnonzero(clipped)[taken]
+    """Where pixels are clipped, a Gaussian through the others takes the centroid's place, if there are enough."""
+    index = np.flatnonzero(which)
+    taken = np.isfinite(fit.shift_px) & (np.abs(fit.shift_px - start[index]) < width[index])
+    index = index[taken]
     shift, u, wide = centres.shift_px.copy(), centres.u_px.copy(), centres.width_px.copy()
     shift[index], u[index], wide[index] = fit.shift_px[taken], fit.u_px[taken], fit.width_px[taken]
     return Centres(shift, u, wide, centres.height)

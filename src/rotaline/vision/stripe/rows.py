@@ -75,7 +75,7 @@ def flat_centroid(profiles: Profiles, width_px: Float[np.ndarray, " n"], start_p
             background = side_background(profiles, shift, width_px)
             x = profiles.offset_px - shift[:, None]
             near = profiles.valid & (np.abs(x) <= _REACH * width_px[:, None])
-            above = np.where(near, np.maximum(profiles.value - background.value, 0.0), 0.0)
+            above = np.where(near, np.maximum(profiles.value - background.at(profiles.offset_px), 0.0), 0.0)
             mass = above.sum(axis=1)
             moment = (above * profiles.offset_px).sum(axis=1) / mass
             shift = np.where(mass > 0, moment, shift)

@@ -2,8 +2,9 @@
 
 A coloured laser is found in the difference of its channel from the mean of the other two: white and grey things vanish,
 however bright they are. Where the core of the stripe saturates all channels it is as white as paper; there the difference is
-filled in from its surroundings. The centre is measured in the channel that shows the stripe best: highest above its
-background, and not clipped. For a red laser on white paper that is green, on a dark surface red.
+filled in from its surroundings. Where a background is subtracted, grey is as good as colour, and does not mind saturation.
+The centre is measured in the channel that shows the stripe best: highest above its background, and not clipped. For a red
+laser on white paper that is green, on a dark surface red.
 """
 
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, UInt8, UInt16
 
 from rotaline.vision.images import Image
 from rotaline.vision.stripe.profiles import sample_profiles
@@ -19,7 +20,10 @@ from rotaline.vision.stripe.ridges import Ridge, find_ridges
 
 CHANNELS = ("red", "green", "blue")
 _CORE_PX = 25  # a saturated core up to this wide is filled
+_MATCH_PIXELS, _LEAST_PIXELS, _MATCH_PASSES = 40_000, 100, 6
+_LEAST_SPREAD, _MOST_GAIN = 8.0, 1.4  # standard deviation in grey values of an 8 bit image; ratio
 _WHITE = 0.85  # of the range: what is brighter in all channels has lost its colour
+_LIT = 20.0  # grey values of an 8 bit image
 _CLEAR = 6.0  # grey values of an 8 bit image: prominence of a ridge in colour that things in a room hardly reach
 _CROWD = 20  # ridges; a stripe alone makes fewer
 _CROWD_PART, _CROWD_SHARE, _FAINT_PART = 0.25, 0.04, 0.035
@@ -33,18 +37,22 @@ class Frame:
     ----------
     planes : 1 or 3 of (h, w)   grey values
     clipped : same number, (h, w) or None   pixels at the top of the range
+    white : (h, w) or None   pixels near the top of the range in all channels of a colour image
+    subtracted : bool   a background was subtracted
+    lit : bool   that background shows a scene in the light of lamps
     unit : float   one grey value of an 8 bit image, in the image's grey values (1 or 257)
     """
 
     planes: tuple[Float32[np.ndarray, "h w"], ...]
     clipped: tuple[Bool[np.ndarray, "h w"] | None, ...]
+    white: Bool[np.ndarray, "h w"] | None
+    subtracted: bool
+    lit: bool
     unit: float
 
 
 def split_frame(image: Image, background: Image | None) -> Frame:
-    """Planes of the image minus those of the background.
-
-    The background is scaled by the ratio of the median brightness where that lies near 1: lamps and exposure drift.
+    """Planes of the image minus those of the background, which is matched to the image first: exposure and lamps drift.
 
     Raises
     ------
@@ -60,24 +68,57 @@ def split_frame(image: Image, background: Image | None) -> Frame:
     unit = top / 255.0
     limit = top - 2 if top == 255 else int(0.98 * top)
     sources = [image] if image.ndim == 2 else list(cv2.split(image))
-    clipped: list[np.ndarray | None] = []
-    planes = []
-    scale = 1.0
-    if background is not None:
-        few, few_background = image[::7, ::7].astype(float), background[::7, ::7].astype(float)
-        lit = (few_background > 20 * unit) & (few < 0.9 * top)
-        if lit.sum() > 100:
-            ratio = float(np.median(few[lit] / few_background[lit]))
-            scale = ratio if 0.9 < ratio < 1.1 else 1.0
     grounds = (
         [None] * len(sources) if background is None else [background] if image.ndim == 2 else cv2.split(background)
     )
+    clipped: list[np.ndarray | None] = []
+    planes = []
     for source, ground in zip(sources, grounds, strict=True):
         top_pixels = source >= limit
         clipped.append(top_pixels if top_pixels.any() else None)
         plane = source.astype(np.float32)
-        planes.append(plane if ground is None else cv2.scaleAdd(ground.astype(np.float32), -scale, plane))
-    return Frame(tuple(planes), tuple(clipped), unit)
+        if ground is not None:
+            gain, offset = match_exposure(source, ground)
+            plane -= np.float32(gain) * ground + np.float32(offset)
+        planes.append(plane)
+    white = np.logical_and.reduce([source >= _WHITE * top for source in sources]) if len(sources) == 3 else None
+    if white is not None and not white.any():
+        white = None
+    lit = background is not None and bool(np.median(background[::7, ::7]) >= _LIT * unit)
+    return Frame(tuple(planes), tuple(clipped), white, background is not None, lit, unit)
+
+
+def match_exposure(
+    image: UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"],
+    background: UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"],
+) -> tuple[float, float]:
+    """Gain and offset that make the background as bright as the image where the laser does not shine.
+
+    A straight line through the grey values of the two, fitted again and again to the pixels that lie near it; clipped pixels
+    do not count. A scene too plain for a line has the ratio of the medians as gain. (1, 0) where it is too dark to tell, and
+    where the gain is not near 1: then the frames differ by more than their exposure.
+    """
+    top = int(np.iinfo(image.dtype).max)
+    unit = top / 255.0
+    step = max(1, int(np.sqrt(image.size / _MATCH_PIXELS)))
+    x, y = (np.asarray(part[::step, ::step], dtype=float).ravel() for part in (background, image))
+    usable = (np.maximum(x, y) < 0.97 * top) & (x > 0)
+    if usable.sum() < _LEAST_PIXELS:
+        return 1.0, 0.0
+    x, y = x[usable], y[usable]
+    gain, offset = 1.0, float(np.median(y - x))
+    for _ in range(_MATCH_PASSES):
+        rest = np.abs(y - gain * x - offset)
+        near = rest <= 3.0 * max(1.4826 * float(np.median(rest)), unit)
+        if near.sum() < _LEAST_PIXELS or np.std(x[near]) < _LEAST_SPREAD * unit:
+            bright = float(np.median(x))
+            gain, offset = float(np.median(y)) / bright if bright >= _LIT * unit else 1.0, 0.0
+            break
+        mean_x, mean_y = float(x[near].mean()), float(y[near].mean())
+        dx = x[near] - mean_x
+        gain = float(dx @ y[near] / (dx @ dx))
+        offset = mean_y - gain * mean_x
+    return (gain, offset) if 1.0 / _MOST_GAIN < gain < _MOST_GAIN else (1.0, 0.0)
 
 
 def score_images(frame: Frame, colour: str) -> Iterator[tuple[str, Float32[np.ndarray, "h w"]]]:
@@ -96,13 +137,9 @@ def score_images(frame: Frame, colour: str) -> Iterator[tuple[str, Float32[np.nd
 
 def _fill_core(frame: Frame, score: np.ndarray) -> np.ndarray:
     """Close the valley in the score where all channels are near the top: the core of a stripe may have lost its colour."""
-    if all(c is None for c in frame.clipped):
+    if frame.white is None:
         return score
-    dark = cv2.min(cv2.min(frame.planes[0], frame.planes[1]), frame.planes[2])
-    white = (dark >= np.float32(_WHITE * 255.0 * frame.unit)).astype(np.uint8)
-    if not white.any():
-        return score
-    near_white = cv2.dilate(white, np.ones((9, 9), np.uint8))
+    near_white = cv2.dilate(frame.white.astype(np.uint8), np.ones((9, 9), np.uint8))
     small = cv2.resize(score, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     kernel = np.ones((_CORE_PX // 2 | 1, _CORE_PX // 2 | 1), np.uint8)
     closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, kernel)
@@ -116,19 +153,20 @@ def find_stripe(
     """The ridges of the score image that shows the strongest, see :func:`score_images`.
 
     Any colour with a clear ridge goes before grey, since the things in a room make strong ridges in grey but weak ones in
-    colour. A frame with many ridges shows the scene itself; then only those stay that have a quarter of the prominence of
-    the strongest one and a twenty-fifth of its strength. Elsewhere a thirtieth of the prominence is enough.
+    colour; not so where a background was subtracted, which takes them away. A frame with many ridges shows the scene itself;
+    then only those stay that have a quarter of the prominence of the strongest one and a twenty-fifth of its strength.
+    Elsewhere a thirtieth of the prominence is enough.
 
     Returns
     -------
     ridges : list of Ridge
-    crowded : bool   the frame shows the scene itself
+    crowded : bool   the frame shows the scene itself, or did so before the background was subtracted
     """
     best: list[Ridge] = []
     best_strength = 0.0
     clear = False
     for name, score in score_images(frame, colour):
-        if name == "grey" and clear:
+        if name == "grey" and clear and not frame.subtracted:
             continue
         ridges = find_ridges(score, threshold, min_contrast * frame.unit, min_length_px)
         strongest = max(ridges, key=_strength, default=None)
@@ -143,7 +181,7 @@ def find_stripe(
     crowded = len(best) > _CROWD
     part, share = (_CROWD_PART, _CROWD_SHARE) if crowded else (_FAINT_PART, 0.0)
     best = [r for r in best if np.median(r.prominence) > part * usual and _strength(r) > share * best_strength]
-    return best, crowded
+    return best, crowded or frame.lit
 
 
 def _strength(ridge: Ridge) -> float:

@@ -14,7 +14,7 @@ from rotaline.vision.stripe.ridges import Ridge
 _WINDOW = 6  # points on either side that settle the direction
 _JOIN_PX = 9.0
 _BOTH_SIDES = 0.2  # least fall to the higher side, part of the fall to the lower side
-_LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.6, 20.0
+_LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.4, 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,9 @@ def trace_ridges(
         profiles = sample_profiles(value, clipped, chains.uv, normal, 3.5 * width + 3.0)
         start = np.zeros(len(width))
         background = side_background(profiles, start, width)
-        centres = weighted_centroid(profiles, background.value, background.slope_variance, start, width)
+        centres = weighted_centroid(
+            profiles, background.at(profiles.offset_px), background.slope_variance, start, width
+        )
         good = (np.abs(centres.shift_px) <= 1.5 * width + 1.0) & (centres.height > 0)
         measured = np.where(good, np.clip(centres.width_px, _LEAST_WIDTH_PX, _MOST_WIDTH_PX), width)
         good &= alike(chains, measured, 0.25)

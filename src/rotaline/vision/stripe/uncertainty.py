@@ -9,6 +9,7 @@ from rotaline.vision.stripe.profiles import Profiles
 
 _LAG = 3  # points between profiles whose pixels are compared
 _LAGS = (3, 8)  # points between centres that are compared
+_GRAINY = 1.25
 _TRIM = 0.9
 _TRIMMED_TO_SIGMA = 1.267  # of a Gaussian cut at its 90 % quantile
 
@@ -78,9 +79,11 @@ def scatter_and_floor(
 
     Speckle, texture and photon noise make the rest; it is added in square to the uncertainty of every point. The clear half
     of the points decides, since weak points are noisy anyway. The grain of speckle makes neighbours alike, so differences
-    over several distances are taken and the largest counts. Both are 0 where there are too few points to tell.
+    over two distances are taken; where the longer one shows clearly more it counts alone, else both do. Both results are 0
+    where there are too few points to tell.
     """
-    measured = rest = 0.0
+    found: list[float] = []
+    expected = limit = 0.0
     for lag in _LAGS:
         scatter, index = centre_scatter(chains, normal, lag)
         if len(index) < 40:
@@ -88,8 +91,10 @@ def scatter_and_floor(
         u = u_noise_px[index]
         clear = u <= np.median(u)
         expected = float(np.median(u[clear]))
-        found = 1.4826 * float(np.median(np.abs(scatter[clear])))
-        measured = max(measured, found)
-        if found > expected * (1.0 + 3.5 / np.sqrt(clear.sum())):  # more than such a sample could show by chance
-            rest = max(rest, float(np.sqrt(found**2 - expected**2)))
-    return measured, rest
+        limit = expected * (1.0 + 3.5 / np.sqrt(clear.sum()))  # more than such a sample could show by chance
+        found.append(1.4826 * float(np.median(np.abs(scatter[clear]))))
+    if not found:
+        return 0.0, 0.0
+    clearly_more = found[-1] > _GRAINY * found[0]
+    measured = found[-1] if clearly_more else float(np.sqrt(np.mean(np.square(found))))
+    return measured, float(np.sqrt(measured**2 - expected**2)) if measured > limit else 0.0
