@@ -8,6 +8,7 @@ from scipy.spatial import ConvexHull
 
 from rotaline.calibration.model import CameraView
 from rotaline.vision.camera import CameraModel
+from rotaline.vision.targets.model import Target
 
 _FOCAL_LIMIT = 0.01
 _CENTRE_LIMIT = 0.02
@@ -57,6 +58,19 @@ def corner_uncertainty_px(camera: CameraModel, names: Sequence[str], cov: Float[
     jacobian = np.array([by[names[k]] for k in terms]).T * np.array([[camera.fx], [camera.fy]])
     spread = jacobian @ cov[np.ix_(terms, terms)] @ jacobian.T
     return float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
+
+
+def describe_bent_targets(targets: Sequence[Target]) -> list[str]:
+    """Targets that are not flat, by how much."""
+    warnings = []
+    for target in targets:
+        heights = target.points_board()[:, 2]
+        columns, rows = target.grid_size
+        warnings.append(
+            f"The target of {columns} x {rows} points is not flat: its points lie up to {np.ptp(heights):.3f} mm apart in height. "
+            "This is taken into account; a flat, stiff target (glass, aluminium) gives a better camera."
+        )
+    return warnings
 
 
 def describe_weak_views(camera: CameraModel, views: Sequence[CameraView]) -> list[str]:

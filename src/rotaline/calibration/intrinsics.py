@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import RigidTransform
 
-from rotaline.calibration.camera_warnings import describe_weak_parameters, describe_weak_views
+from rotaline.calibration.board_shape import bend_bases, bent_targets, is_bend_shown, leave_one_out_changes
+from rotaline.calibration.camera_warnings import describe_bent_targets, describe_weak_parameters, describe_weak_views
 from rotaline.calibration.homography import pose_from_homography
 from rotaline.calibration.lens_prior import lens_prior, without_distortion
 from rotaline.calibration.model import CameraCalibration, CameraView, TargetView
@@ -63,6 +64,12 @@ class CameraOptions:
             "help": "what to do where the views do not determine the camera: lean on what real lenses look like, or estimate anyway"
         },
     )
+    board: Literal["auto", "flat"] = field(
+        default="auto",
+        metadata={
+            "help": "auto: estimate how the target is bent where the views clearly show it; flat: take it for flat"
+        },
+    )
     outlier_sigma: float = field(
         default=5.0, metadata={"help": "points further off than this many standard deviations are left out"}
     )
@@ -106,12 +113,12 @@ def calibrate_camera(
     turned = _without_mirror_poses(state, camera)
     if any(a.pose is not b.pose for a, b in zip(turned, state, strict=True)):
         state, camera = _fit_robust(turned, camera, names)
-    state, fit = _reject(state, views, camera, names, None, options)
+    state, fit = _reject_bent(state, views, camera, names, options)
     u_parameters, sigma_px, spread_ratio = _uncertainty(fit, state)
     warnings: list[str] = []
-    weak = describe_weak_parameters(
-        fit.camera, names, covariance_from_factor(fit.information, (spread_ratio * sigma_px) ** 2)
-    )
+    p = len(names)
+    cov = covariance_from_factor(fit.information, (spread_ratio * sigma_px) ** 2)[:p, :p]
+    weak = describe_weak_parameters(fit.camera, names, cov)
     if weak and options.weak_parameters == "regularise":
         prior = lens_prior(names, image_size, fit.camera, spread_ratio * sigma_px)
         state, fit = _reject(state, views, without_distortion(fit.camera, image_size), names, prior, options)
@@ -136,6 +143,8 @@ def calibrate_camera(
         )
     results = tuple(_view_result(view, s, fit.camera) for view, s in zip(views, state, strict=True))
     used = [v for v in results if v.used]
+    stated, found = bent_targets([view.detection for view in views], fit.bend) if len(fit.bend) else ((), ())
+    warnings += describe_bent_targets(found)
     warnings += describe_weak_views(fit.camera, used)
     warnings += _describe_outliers(views, state)
     lengths = np.concatenate([np.linalg.norm(v.residuals_px, axis=1) for v in used])
@@ -148,6 +157,8 @@ def calibrate_camera(
         float(np.sqrt(np.mean(lengths**2))),
         float(np.mean(lengths)),
         tuple(warnings),
+        stated,
+        found,
     )
 
 
@@ -215,6 +226,7 @@ def _refine(
     names: tuple[str, ...],
     prior: Prior | None,
     max_iterations: int = MAX_ITERATIONS,
+    with_bend: bool = False,
 ) -> BundleFit:
     active = [s for s in state if not s.reason]
     return refine_bundle(
@@ -224,6 +236,7 @@ def _refine(
         names,
         prior,
         max_iterations,
+        with_bend,
     )
 
 
@@ -267,12 +280,34 @@ def _without_mirror_poses(state: Sequence[ViewState], camera: CameraModel) -> li
         if error <= 2 * typical:
             continue
         try:
-            found = estimate_board_pose(camera, state[k].observation.points_board, state[k].observation.uv)
+            found = estimate_board_pose(camera, state[k].observation.points, state[k].observation.uv)
         except GeometryError:
             continue
         if np.median(np.linalg.norm(found.residuals_px, axis=1)) < 0.5 * error:
             turned[k] = replace(state[k], pose=found.camera_from_board)
     return turned
+
+
+def _reject_bent(
+    state: Sequence[ViewState],
+    views: Sequence[TargetView],
+    camera: CameraModel,
+    names: tuple[str, ...],
+    options: CameraOptions,
+) -> tuple[list[ViewState], BundleFit]:
+    """As :func:`_reject`, with targets that are bent where the views show that they are."""
+    flat, flat_fit = _reject(state, views, camera, names, None, options)
+    if options.board == "flat":
+        return flat, flat_fit
+    bases = bend_bases([view.detection for view in views])
+    no_bend = np.zeros(bases[0].shape[1])
+    bent_start = [
+        replace(s, observation=replace(s.observation, bend_basis=basis, bend=no_bend))
+        for s, basis in zip(flat, bases, strict=True)
+    ]
+    bent, bent_fit = _reject(bent_start, views, flat_fit.camera, names, None, options)
+    _, sigma_px, _ = _uncertainty(bent_fit, bent)
+    return (bent, bent_fit) if is_bend_shown(bent_fit, sigma_px**2) else (flat, flat_fit)
 
 
 def _reject(
@@ -292,8 +327,11 @@ def _reject(
             break
         current = judged
         _require_views(current, views)
-        fit = _refine(current, camera, names, prior)
+        with_bend = current[0].observation.bend is not None
+        fit = _refine(current, camera, names, prior, with_bend=with_bend)
         camera, current = fit.camera, _assign_poses(current, fit.poses)
+        if with_bend:
+            current = [replace(s, observation=s.observation.with_bend(fit.bend)) for s in current]
     assert fit is not None
     return current, fit
 
@@ -315,16 +353,12 @@ def _uncertainty(
     n_values = sum(2 * int((s.observation.weights > 0).sum()) for s in active)
     variance = squares / max(n_values - 6 * len(active) - p, 1)
     cov = covariance_from_factor(fit.information, variance)
-    u = np.sqrt(np.diag(cov))
+    n_camera = p - len(fit.bend)
+    u = np.sqrt(np.diag(cov))[:n_camera]
     ratio = 1.0
     if len(active) >= 6:
-        normal = fit.information.T @ fit.information
-        scale = np.sqrt(np.diag(normal))
-        changes = [
-            np.linalg.lstsq((normal - block) / np.outer(scale, scale), -gradient / scale, rcond=1e-12)[0] / scale
-            for block, gradient in zip(fit.blocks, fit.gradients, strict=True)
-        ]
-        jackknife = np.sqrt((len(active) - 1) / len(active) * np.sum(np.square(changes), axis=0))
+        changes = leave_one_out_changes(fit)
+        jackknife = np.sqrt((len(active) - 1) / len(active) * np.sum(np.square(changes), axis=0))[:n_camera]
         ratio = float(np.median(jackknife / u))
         ratio = ratio if ratio > _SPREAD_RATIO else 1.0
     ratio = max(ratio, least_ratio)
@@ -346,7 +380,7 @@ def _view_result(view: TargetView, state: ViewState, camera: CameraModel) -> Cam
     missing = np.full((len(detection.uv), 2), np.nan)
     if state.reason:
         try:
-            pose = estimate_board_pose(camera, detection.points_board, detection.uv)
+            pose = estimate_board_pose(camera, state.observation.points, detection.uv)
         except GeometryError:
             return CameraView(
                 view.name, False, state.reason, RigidTransform.identity(), float("nan"), detection.uv, missing

@@ -9,8 +9,8 @@ from rotaline.vision.camera import CameraModel
 def lens_prior(names: tuple[str, ...], image_size: tuple[int, int], camera: CameraModel, sigma_px: float) -> Prior:
     """What real cameras look like, as observations of the named parameters.
 
-    The principal point lies within 3 % of the diagonal of the centre, pixels are square to 0.5 %, each radial term moves the
-    corner of the image by some 5 % of its distance from the centre, each tangential term by 0.3 % (standard uncertainties).
+    The principal point lies within 8 % of the diagonal of the centre, pixels are square to 0.5 %, each radial term moves the
+    corner of the image by some 20 % of its distance from the centre, each tangential term by 0.5 % (standard uncertainties).
 
     Parameters
     ----------
@@ -22,9 +22,9 @@ def lens_prior(names: tuple[str, ...], image_size: tuple[int, int], camera: Came
     width, height = image_size
     diagonal = float(np.hypot(width, height))
     corner = diagonal / 2 / np.sqrt(camera.fx * camera.fy)
-    expected = {"cx": ((width - 1) / 2, 0.03 * diagonal), "cy": ((height - 1) / 2, 0.03 * diagonal)}
-    expected |= {name: (0.0, 0.05 / corner ** (2 * power)) for name, power in (("k1", 1), ("k2", 2), ("k3", 3))}
-    expected |= dict.fromkeys(("p1", "p2"), (0.0, 0.003 / corner))
+    expected = {"cx": ((width - 1) / 2, 0.08 * diagonal), "cy": ((height - 1) / 2, 0.08 * diagonal)}
+    expected |= {name: (0.0, 0.2 / corner ** (2 * power)) for name, power in (("k1", 1), ("k2", 2), ("k3", 3))}
+    expected |= dict.fromkeys(("p1", "p2"), (0.0, 0.005 / corner))
     rows, values = [], []
     for k, name in enumerate(names):
         if name in expected:

@@ -4,7 +4,7 @@ Every value carries the observations behind it, so that the report can show resi
 Lengths in mm, angles in rad, image errors in px; frames stand in the names. Rows of NaN mark elements that are missing.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from rotaline.geometry.primitives import Line, Plane
 from rotaline.geometry.transforms import base_from_axis
 from rotaline.vision.camera import CameraModel
-from rotaline.vision.targets.model import TargetDetection
+from rotaline.vision.targets.model import Target, TargetDetection
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,8 @@ class CameraCalibration:
     """Camera with the standard deviations of its parameters and the residuals of every view.
 
     ``rms_px`` is sqrt(mean |residual|^2) over the points of the used views (the figure that OpenCV prints);
-    ``mean_error_px`` is the mean length of a residual (the figure of the article).
+    ``mean_error_px`` is the mean length of a residual (the figure of the article). ``targets_as_stated[k]`` was found to be
+    ``targets[k]``: bent, where the views show it.
     """
 
     camera: CameraModel
@@ -56,6 +57,14 @@ class CameraCalibration:
     rms_px: float
     mean_error_px: float
     warnings: tuple[str, ...]
+    targets_as_stated: tuple[Target, ...] = ()
+    targets: tuple[Target, ...] = ()
+
+    def with_target_as_found(self, detection: TargetDetection) -> TargetDetection:
+        """The detection, on its target as the camera calibration found it."""
+        if detection.target not in self.targets_as_stated:
+            return detection
+        return replace(detection, target=self.targets[self.targets_as_stated.index(detection.target)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,15 +29,31 @@ _ROUNDING = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class BoardObservation:
-    """Points of one board in one image; ``weights`` are square roots of weights, 0 leaves a point out."""
+    """Points of one board in one image; ``weights`` are square roots of weights, 0 leaves a point out.
+
+    Where the board is not flat, its points lie at ``bend_basis @ bend`` (mm) above ``points_board``, along its z axis.
+    """
 
     points_board: Float[np.ndarray, "n 3"]
     uv: Float[np.ndarray, "n 2"]
     weights: Float[np.ndarray, " n"]
+    bend_basis: Float[np.ndarray, "n m"] | None = None
+    bend: Float[np.ndarray, " m"] | None = None
 
     def with_weights(self, weights: Float[np.ndarray, " n"]) -> "BoardObservation":
         """The same points with other weights."""
         return replace(self, weights=weights)
+
+    def with_bend(self, bend: Float[np.ndarray, " m"] | None) -> "BoardObservation":
+        """The same points on a board of another shape; None for a flat one."""
+        return replace(self, bend=bend)
+
+    @property
+    def points(self) -> Float[np.ndarray, "n 3"]:
+        """The points where they are on the board, bent or flat, mm."""
+        if self.bend is None or self.bend_basis is None:
+            return self.points_board
+        return self.points_board + np.outer(self.bend_basis @ self.bend, [0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +69,10 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class BundleFit:
-    """Camera and poses of least weighted squares.
+    """Camera, poses and, where asked for, the bend of the boards, of least weighted squares.
 
-    ``information`` is the factor R of the camera's parameters with the poses eliminated: cov = s^2 (R^T R)^-1.
-    ``gradients[v]`` and ``blocks[v]`` are view v's share in R^T r and R^T R.
+    ``information`` is the factor R of the camera's parameters, then those of the bend, with the poses eliminated:
+    cov = s^2 (R^T R)^-1. ``gradients[v]`` and ``blocks[v]`` are view v's share in R^T r and R^T R.
     """
 
     camera: CameraModel
@@ -66,6 +82,7 @@ class BundleFit:
     gradients: Float[np.ndarray, "v p"]
     blocks: Float[np.ndarray, "v p p"]
     converged: bool
+    bend: Float[np.ndarray, " m"]
 
 
 def projection_jacobians(
@@ -135,7 +152,7 @@ def reprojection_residuals(
     camera: CameraModel, camera_from_board: RigidTransform, observation: BoardObservation
 ) -> Float[np.ndarray, "n 2"]:
     """Observed minus projected, px."""
-    return np.asarray(observation.uv - camera.project(camera_from_board.apply(observation.points_board)))
+    return np.asarray(observation.uv - camera.project(camera_from_board.apply(observation.points)))
 
 
 def refine_pose(
@@ -150,7 +167,7 @@ def refine_pose(
     factor : (6, 6)   R of the derivative by the pose: cov = s^2 (R^T R)^-1, as in :func:`projection_jacobians`
     """
     fit = refine_bundle(camera, [camera_from_board], [observation], ())
-    _, _, by_pose = projection_jacobians(camera, fit.poses[0].apply(observation.points_board))
+    _, _, by_pose = projection_jacobians(camera, fit.poses[0].apply(observation.points))
     weighted = (by_pose * observation.weights[:, None, None])[observation.weights > 0].reshape(-1, 6)
     return fit.poses[0], fit.cost, np.asarray(np.linalg.qr(np.nan_to_num(weighted), mode="r"))
 
@@ -162,8 +179,9 @@ def refine_bundle(
     names: Sequence[str],
     prior: Prior | None = None,
     max_iterations: int = MAX_ITERATIONS,
+    with_bend: bool = False,
 ) -> BundleFit:
-    """Levenberg-Marquardt over the named camera parameters and all poses [2]_.
+    """Levenberg-Marquardt over the named camera parameters and all poses [2]_, and over the bend of the boards.
 
     Parameters
     ----------
@@ -171,25 +189,29 @@ def refine_bundle(
     observations : one a pose
     names : parameters to estimate; empty for poses alone
     prior : what is known of the parameters, added to the squares
+    with_bend : estimate the bend too, common to all observations, which need a ``bend_basis`` then; otherwise it stays
 
     Returns
     -------
     BundleFit   ``cost`` is inf (and nothing is refined) where the start shows points behind the camera
     """
-    state, current_poses = camera, [_Pose(p.rotation.as_matrix(), p.translation) for p in poses]
-    cost = _cost(state, current_poses, observations, names, prior)
+    state, boards = camera, list(observations)
+    bend = boards[0].bend if with_bend and boards[0].bend is not None else np.zeros(_count_bends(boards, with_bend))
+    current_poses = [_Pose(p.rotation.as_matrix(), p.translation) for p in poses]
+    p = len(names) + len(bend)
+    cost = _cost(state, current_poses, boards, names, prior)
     damping, converged = _DAMPING, False
     for _ in range(max_iterations if np.isfinite(cost) else 0):
-        views = [_linearise(state, p, o, names) for p, o in zip(current_poses, observations, strict=True)]
+        views = [_linearise(state, q, o, names, with_bend) for q, o in zip(current_poses, boards, strict=True)]
         improved = False
         while damping < 1e12:
-            camera_step, pose_steps = _solve(views, state, names, prior, damping)
-            trial = set_parameters(state, names, get_parameters(state, names) + camera_step)
-            trial_poses = [
-                p.moved(o.points_board, s) for p, o, s in zip(current_poses, observations, pose_steps, strict=True)
-            ]
+            step, pose_steps = _solve(views, state, names, prior, damping)
+            trial = set_parameters(state, names, get_parameters(state, names) + step[: len(names)])
+            trial_bend = bend + step[len(names) :]
+            trial_boards = [o.with_bend(trial_bend) for o in boards] if with_bend else boards
+            trial_poses = [q.moved(o.points, s) for q, o, s in zip(current_poses, boards, pose_steps, strict=True)]
             trial_cost = (
-                _cost(trial, trial_poses, observations, names, prior) if min(trial.fx, trial.fy) > 0 else np.inf
+                _cost(trial, trial_poses, trial_boards, names, prior) if min(trial.fx, trial.fy) > 0 else np.inf
             )
             if trial_cost <= cost:
                 improved = True
@@ -201,22 +223,20 @@ def refine_bundle(
             converged = True  # the bottom, to rounding
             break
         small = cost - trial_cost <= _ROUNDING * cost
-        state, current_poses, cost = trial, trial_poses, trial_cost
+        state, current_poses, bend, boards, cost = trial, trial_poses, trial_bend, trial_boards, trial_cost
         damping = max(damping / 10, 1e-12)
         if small:
             converged = True
             break
-    views = [_linearise(state, p, o, names) for p, o in zip(current_poses, observations, strict=True)]
+    views = [_linearise(state, q, o, names, with_bend) for q, o in zip(current_poses, boards, strict=True)]
     rests = [_eliminate_pose(view, 0.0)[1] for view in views]
-    p = len(names)
     blocks = np.array([rest[:, :p].T @ rest[:, :p] for rest in rests]).reshape(len(views), p, p)
     gradients = np.array([rest[:, :p].T @ rest[:, p] for rest in rests]).reshape(len(views), p)
-    stacked = [rest[:, :p] for rest in rests] + ([prior.rows] if prior is not None else [])
+    stacked = [rest[:, :p] for rest in rests] + ([_widen(prior.rows, p)] if prior is not None else [])
     padded = np.vstack([*stacked, np.zeros((p, p))])
     information = np.asarray(np.linalg.qr(padded, mode="r")) if p else np.zeros((0, 0))
-    return BundleFit(
-        state, tuple(p.as_transform() for p in current_poses), float(cost), information, gradients, blocks, converged
-    )
+    transforms = tuple(q.as_transform() for q in current_poses)
+    return BundleFit(state, transforms, float(cost), information, gradients, blocks, converged, bend)
 
 
 def covariance_from_factor(factor: Float[np.ndarray, "p p"], variance: float) -> Float[np.ndarray, "p p"]:
@@ -254,22 +274,37 @@ class _Pose:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """Weighted derivatives of one view: by pose, by camera, and the residuals."""
+    """Weighted derivatives of one view: by pose, by camera (and bend), and the residuals."""
 
     by_pose: Float[np.ndarray, "m 6"]
     by_camera: Float[np.ndarray, "m p"]
     residuals: Float[np.ndarray, " m"]
 
 
-def _linearise(camera: CameraModel, pose: _Pose, observation: BoardObservation, names: Sequence[str]) -> _View:
+def _linearise(
+    camera: CameraModel, pose: _Pose, observation: BoardObservation, names: Sequence[str], with_bend: bool
+) -> _View:
     used: Bool[np.ndarray, " n"] = observation.weights > 0
-    uv, by_camera, by_pose = projection_jacobians(camera, pose.apply(observation.points_board), names)
+    uv, by_camera, by_pose = projection_jacobians(camera, pose.apply(observation.points), names)
+    if with_bend and observation.bend_basis is not None:
+        by_height = by_pose[:, :, 3:] @ pose.rotation[:, 2]
+        by_camera = np.concatenate([by_camera, by_height[:, :, None] * observation.bend_basis[:, None, :]], axis=2)
     weights = observation.weights[used, None]
     return _View(
         (by_pose[used] * weights[:, :, None]).reshape(-1, 6),
-        (by_camera[used] * weights[:, :, None]).reshape(2 * len(weights), len(names)),
+        (by_camera[used] * weights[:, :, None]).reshape(2 * len(weights), by_camera.shape[2]),
         ((observation.uv - uv)[used] * weights).ravel(),
     )
+
+
+def _count_bends(observations: Sequence[BoardObservation], with_bend: bool) -> int:
+    basis = observations[0].bend_basis if with_bend and observations else None
+    return basis.shape[1] if basis is not None else 0
+
+
+def _widen(rows: Float[np.ndarray, "m q"], n_columns: int) -> Float[np.ndarray, "m p"]:
+    """Rows that say nothing about the columns that follow."""
+    return np.pad(rows, ((0, 0), (0, n_columns - rows.shape[1])))
 
 
 def _eliminate_pose(view: _View, damping: float) -> tuple[Float[np.ndarray, "6 q"], Float[np.ndarray, "k r"]]:
@@ -285,15 +320,15 @@ def _eliminate_pose(view: _View, damping: float) -> tuple[Float[np.ndarray, "6 q
 def _solve(
     views: Sequence[_View], camera: CameraModel, names: Sequence[str], prior: Prior | None, damping: float
 ) -> tuple[Float[np.ndarray, " p"], list[Float[np.ndarray, "6"]]]:
-    """The damped step of camera and poses."""
-    p = len(names)
+    """The damped step of camera (and bend) and of the poses."""
+    p = views[0].by_camera.shape[1]
     parts = [_eliminate_pose(view, damping) for view in views]
     camera_step = np.zeros(p)
     if p:
         rows = [rest for _, rest in parts]
         if prior is not None:
             misfit = prior.values - prior.rows @ get_parameters(camera, names)
-            rows.append(np.column_stack([prior.rows, misfit]))
+            rows.append(np.column_stack([_widen(prior.rows, p), misfit]))
         system = np.vstack(rows)
         scale = np.linalg.norm(np.vstack([view.by_camera for view in views]), axis=0)
         scale = np.where(scale > 0, scale, 1.0)
@@ -317,7 +352,7 @@ def _cost(
     """Weighted sum of squares, px^2; inf where a point lies behind the camera."""
     total = 0.0
     for pose, observation in zip(poses, observations, strict=True):
-        residuals = observation.uv - camera.project(pose.apply(observation.points_board))
+        residuals = observation.uv - camera.project(pose.apply(observation.points))
         residuals = residuals * observation.weights[:, None]
         total += float(np.sum(residuals[observation.weights > 0] ** 2))
     if prior is not None:

@@ -18,7 +18,7 @@ from rotaline.geometry.primitives import Plane
 from rotaline.geometry.robust import mad_scale, ransac_line_2d
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.stripe.model import StripePoints
-from rotaline.vision.targets.model import CharucoBoard, DotGrid, Target, TargetDetection
+from rotaline.vision.targets.model import FLAT, CharucoBoard, DotGrid, Target, TargetDetection, target_height
 
 MIN_POINTS = 6
 _ASSUMED_DIAMETER = 0.5
@@ -88,7 +88,7 @@ def place_stripe_on_board(camera: CameraModel, view: StripeView, clearance_width
         raise DetectionError(f"the target has no pose: {error}") from error
     plane = board_plane(pose)
     rays = camera.rays(stripe.uv)
-    points = intersect_rays_with_plane(rays, plane)
+    points = _meet_target(rays, plane, pose, detection.target)
     xy = pose.camera_from_board.inv().apply(np.nan_to_num(points))[:, :2]
     on_board = np.isfinite(points).all(axis=1) & _inside(detection.target, xy)
     if on_board.sum() < MIN_POINTS:
@@ -119,6 +119,21 @@ def place_stripe_on_board(camera: CameraModel, view: StripeView, clearance_width
         line_board,
         stripe.u_normal_px[keep] * mm_per_px[keep],
     )
+
+
+def _meet_target(
+    rays: Float[np.ndarray, "n 3"], plane_camera: Plane, pose: BoardPose, target: Target
+) -> Float[np.ndarray, "n 3"]:
+    """Where viewing rays meet the target, which may be bent: its height is small, so two corrections are enough."""
+    points = intersect_rays_with_plane(rays, plane_camera)
+    if target.bend == FLAT:
+        return points
+    board_from_camera = pose.camera_from_board.inv()
+    slope = board_from_camera.rotation.apply(rays)[:, 2]
+    for _ in range(2):
+        places = board_from_camera.apply(np.nan_to_num(points))
+        points = points + ((target_height(target, places[:, :2]) - places[:, 2]) / slope)[:, None] * rays
+    return points
 
 
 def board_plane(pose: BoardPose) -> Plane:

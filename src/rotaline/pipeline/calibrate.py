@@ -73,9 +73,9 @@ class Calibrator:
         """All stages that the session allows."""
         camera, camera_key = self._camera()
         model = camera.camera if camera is not None else None
-        laser_plane, cross_ratio, plane_key = self._laser_plane(model, camera_key)
+        laser_plane, cross_ratio, plane_key = self._laser_plane(camera, camera_key)
         plane = cross_ratio.plane_camera if cross_ratio else laser_plane.plane_camera if laser_plane else None
-        axis, axis_key = self._axis(model, camera_key)
+        axis, axis_key = self._axis(camera, camera_key)
         sense, artifact, artifact_key = self._artifact(model, plane, axis, key_of(plane_key, axis_key))
         system, initial = _systems(model, plane, axis, artifact, sense)
         return CalibrationParts(
@@ -158,18 +158,22 @@ class Calibrator:
         return result, key
 
     def _laser_plane(
-        self, camera: CameraModel | None, camera_key: str
+        self, calibration: CameraCalibration | None, camera_key: str
     ) -> tuple[LaserPlaneCalibration | None, CrossRatioResult | None, str]:
         captures = self._session.in_role("laser-plane")
-        if not captures or camera is None:
+        if not captures or calibration is None:
             return None, None, camera_key
+        camera = calibration.camera
         views: list[StripeView] = []
         keys = [camera_key]
         for capture in captures:
             detected, key = self._detections(capture, "laser-plane")
             stripes, stripe_key = self.stripes(capture)
             keys += [key, stripe_key]
-            views += self._stripe_views(capture, detected, stripes)
+            views += [
+                replace(view, detection=calibration.with_target_as_found(view.detection))
+                for view in self._stripe_views(capture, detected, stripes)
+            ]
         key = key_of(keys, self._options.laser_plane)
 
         def compute() -> LaserPlaneCalibration:
@@ -224,17 +228,18 @@ class Calibrator:
                 self._warn("cross-ratio", text)
         return result, key
 
-    def _axis(self, camera: CameraModel | None, camera_key: str) -> tuple[AxisCalibration | None, str]:
+    def _axis(self, calibration: CameraCalibration | None, camera_key: str) -> tuple[AxisCalibration | None, str]:
         captures = self._session.in_role("axis")
-        if not captures or camera is None:
+        if not captures or calibration is None:
             return None, camera_key
+        camera = calibration.camera
         if len(captures) > 1:
             self._warn("axis", f"only the first axis capture ({captures[0].folder}) is used of {len(captures)}.")
         detected, key = self._detections(captures[0], "axis")
         angles = [float(d.angle_rad) for d in detected if d.angle_rad is not None]
         ordered = order_sequence([d.detection for d in detected], angles)
         views = [
-            TargetView(d.name, detection, d.angle_rad)
+            TargetView(d.name, calibration.with_target_as_found(detection), d.angle_rad)
             for d, detection in zip(detected, ordered, strict=True)
             if detection is not None
         ]

@@ -1,6 +1,6 @@
 """Camera calibration: what it refuses, leaves out and warns of."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -131,11 +131,10 @@ def test_few_small_boards_lean_on_what_lenses_look_like() -> None:
     assert any("Weakly determined" in text for text in free.warnings)
     assert any("Only 5 views" in text for text in result.warnings)
     assert any("Poor coverage" in text for text in result.warnings)
-    width, height = CAMERA.image_size
-    assert np.hypot(result.camera.cx - (width - 1) / 2, result.camera.cy - (height - 1) / 2) < 0.06 * np.hypot(
-        width, height
-    )
-    assert result.u_parameters[2] < 0.03 * np.hypot(width, height)
+    diagonal = float(np.hypot(*CAMERA.image_size))
+    assert np.hypot(result.camera.cx - 639.5, result.camera.cy - 479.5) < 2 * 0.08 * diagonal
+    assert abs(result.camera.cx - CAMERA.cx) < 0.6 * abs(free.camera.cx - CAMERA.cx)
+    assert abs(result.camera.cx - CAMERA.cx) < 4 * result.u_parameters[2]
     assert abs(result.camera.fx - CAMERA.fx) < 4 * result.u_parameters[0]
 
 
@@ -164,19 +163,71 @@ def test_parallel_boards_are_a_warning() -> None:
     assert any("parallel to within 0 deg" in text for text in result.warnings)
 
 
-def test_a_bent_target_enlarges_the_standard_deviations() -> None:
-    """A target that is not flat disturbs every view in its own way: the views disagree more than their noise explains."""
+def bent_views(shape: Callable[[np.ndarray, np.ndarray, int], np.ndarray], n: int = 12) -> list[TargetView]:
+    """A board with the heights ``shape(x, y, view)``, coordinates about its centre, taken for flat by who detects it."""
     rng = np.random.default_rng(7)
     points = TARGET.points_board()
-    bent = points + np.outer(0.0006 * ((points[:, 0] - 30) ** 2 - 300), [0.0, 0.0, 1.0])
+    x, y, _ = (points - points.mean(axis=0)).T
     views = []
-    for k, pose in enumerate(random_board_poses(CAMERA, TARGET, 12, rng, spread=0.3)):
+    for k, pose in enumerate(random_board_poses(CAMERA, TARGET, n, rng, spread=0.3)):
+        bent = points + np.outer(shape(x, y, k), [0.0, 0.0, 1.0])
         detection = observe_target(CAMERA, pose, TARGET, 0.0, rng)
         uv = CAMERA.project(pose.apply(bent)) + 0.02 * rng.standard_normal((len(bent), 2))
         views.append(TargetView(f"v{k}", replace(detection, uv=uv)))
+    return views
+
+
+def test_a_bent_target_is_found_out() -> None:
+    """The camera is as good as from a flat one, the target's shape is known, and the user is told."""
+    views = bent_views(lambda x, y, _: 0.0006 * (x * x - 300) + 0.0003 * x * y)
     result = calibrate_camera(views, CAMERA.image_size)
+    flat = calibrate_camera(views, CAMERA.image_size, CameraOptions(board="flat"))
+    assert any("not flat: its points lie up to" in text for text in result.warnings)
+    assert result.rms_px == pytest.approx(0.02 * np.sqrt(2), rel=0.05)
+    assert flat.rms_px > 1.5 * result.rms_px
+    for name, u in zip(result.parameter_names, result.u_parameters, strict=True):
+        assert abs(getattr(result.camera, name) - getattr(CAMERA, name)) < 4 * u
+    found = result.with_target_as_found(views[0].detection)
+    x, y, _ = (TARGET.points_board() - TARGET.points_board().mean(axis=0)).T
+    height = 0.0006 * x * x + 0.0003 * x * y
+    plane = np.stack([np.ones_like(x), x, y], axis=1)
+    height = height - plane @ np.linalg.lstsq(plane, height, rcond=None)[0]
+    assert np.abs(found.points_board[:, 2] - height).max() < 0.02 * np.ptp(height)
+    assert np.abs(flat.u_parameters[0] / result.u_parameters[0]) > 2
+    assert flat.with_target_as_found(views[0].detection) is views[0].detection
+
+
+def test_a_target_that_changes_its_shape_enlarges_the_standard_deviations() -> None:
+    """Loose paper disturbs every view in its own way: the views disagree more than their noise explains."""
+    views = bent_views(lambda x, _, k: 0.0006 * (x * x - 300) * (-1) ** k)
+    result = calibrate_camera(views, CAMERA.image_size)
+    assert result.targets == ()
     assert any("may not be flat" in text for text in result.warnings)
     assert result.u_parameters[0] > 2 * calibrate_camera(good_views(12), CAMERA.image_size).u_parameters[0]
+
+
+def test_one_bad_view_bends_no_target() -> None:
+    """A bend that a single view brings in is none."""
+    views = good_views(10)
+    d = views[3].detection
+    views[3] = with_uv(views[3], d.uv + 0.002 * np.outer((d.points_board[:, 0] - 30) ** 2 / 10, [1.0, 0.5]))
+    result = calibrate_camera(views, CAMERA.image_size)
+    assert result.targets == ()
+
+
+def test_a_square_dot_plate_may_be_read_from_four_sides() -> None:
+    """Only a bend that looks the same from all sides is estimated, and the order of the points does not matter."""
+    plate = DotGrid((7, 7), 8.0, 4.0)
+    rng = np.random.default_rng(8)
+    bent = replace(plate, bend=(0.15, 0.0, 0.15))
+    views = []
+    for k, pose in enumerate(random_board_poses(CAMERA, bent, 10, rng, spread=0.3)):
+        detection = observe_target(CAMERA, pose, bent, 0.02, rng)
+        turned = detection.uv.reshape(7, 7, 2)[::-1].transpose(1, 0, 2).reshape(-1, 2) if k % 2 else detection.uv
+        views.append(TargetView(f"v{k}", replace(detection, target=plate, uv=turned)))
+    result = calibrate_camera(views, CAMERA.image_size)
+    assert np.allclose(result.targets[0].bend, bent.bend, atol=0.01)
+    assert result.camera.fx == pytest.approx(CAMERA.fx, abs=4 * result.u_parameters[0])
 
 
 @pytest.mark.parametrize(
