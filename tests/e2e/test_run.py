@@ -190,7 +190,7 @@ def test_check_lists_what_is_there(copied, call):
         (
             "laser on the other side, 16 bit",
             {"camera_side": 1, "sensor": Sensor(bit_depth=16)},
-            {"image_format": "tif", "shuffled": True},
+            {"image_format": "tiff", "shuffled": True},
         ),
     ],
 )

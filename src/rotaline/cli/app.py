@@ -8,10 +8,11 @@ import logging
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
+from rotaline.cli import commands, options_help, verify  # noqa: F401  (the commands register themselves)
+from rotaline.cli.base import BAD_INPUT, INCOMPLETE, INTERRUPTED, NOT_POSSIBLE, NOT_WRITTEN, OK, app
 from rotaline.errors import (
     CalibrationError,
     DetectionError,
@@ -24,51 +25,6 @@ from rotaline.errors import (
 
 # Frames are worked on side by side; threads inside one small matrix product only get in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-OK, INCOMPLETE, BAD_INPUT, NOT_POSSIBLE, NOT_WRITTEN, INTERRUPTED = 0, 1, 2, 3, 4, 130
-
-EXIT_CODES = """\b
-Exit codes:
-  0    everything asked for was done
-  1    a part could not be done (a feature not found, a frame missing); the rest was written
-  2    wrong use or bad input: session, options, calibration file
-  3    the data do not allow the calibration; the message says what to add
-  4    results cannot be written: no space, no permission
-  130  interrupted; the same command goes on where it stopped
-"""
-
-app = typer.Typer(
-    name="rotaline",
-    help="Measure parts with a camera, a laser line and a turntable.\n\n"
-    "A session is a folder of images with a session.toml. Start with `rotaline check SESSION`, then `rotaline run SESSION`. "
-    "Without a rig, try `rotaline demo`.\n\n" + EXIT_CODES,
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
-
-Session = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder with session.toml and folders of images.")]
-Out = Annotated[
-    Path | None, typer.Option("--out", help="Where results go; default: <session>-results beside the session.")
-]
-OptionsFile = Annotated[
-    Path | None, typer.Option("--options", help="TOML file with options of the stages; `rotaline options` prints one.")
-]
-Setting = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--option", metavar="STAGE.NAME=VALUE", help="One option, for example stripe.method=steger; repeatable."
-    ),
-]
-Force = Annotated[bool, typer.Option("--force", help="Do every stage again, also those that did not change.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, for programs.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show warnings, errors and the result only.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Show the log as well.")]
-CalibrationOption = Annotated[
-    Path | None,
-    typer.Option("--calibration", help="Use this calibration.json instead of calibrating from the session."),
-]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -127,7 +83,3 @@ def _close_log() -> None:
 def entry() -> None:
     """The console script."""
     raise SystemExit(main())
-
-
-# The commands register themselves with ``app``.
-from rotaline.cli import commands, options_help, verify  # noqa: E402, F401

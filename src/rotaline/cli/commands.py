@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rotaline.cli.app import (
+from rotaline.cli.base import (
     BAD_INPUT,
     INCOMPLETE,
     NOT_POSSIBLE,

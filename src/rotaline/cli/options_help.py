@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from rotaline.cli.app import app
+from rotaline.cli.base import app
 
 
 class StageCommand(TyperCommand):

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rotaline.cli.app import Json, app
+from rotaline.cli.base import Json, app
 
 
 @app.command("verify-axis")
