@@ -57,6 +57,31 @@ def test_speckle_is_stated(table, case):
     assert row.stated_over_scatter == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.parametrize("method", [ONE, "profile-fit"])
+@pytest.mark.parametrize("angle_deg", [0.4, 2.0, 20.0, 45.0, 89.0])
+@pytest.mark.parametrize("sigma_px", [0.6, 0.75])
+def test_a_thin_stripe_does_not_lock_to_the_pixels(method, angle_deg, sigma_px):
+    """The error must not follow the place of the centre between the pixels; interpolated samples made it 0.01 to 0.15 px."""
+    rng = np.random.default_rng(11)
+    scene = StripeScene(image_size=(128, 128), angle_deg=angle_deg, sigma_px=sigma_px, peak=90.0, noise=0.6)
+    error, stated, phase = [], [], []
+    for offset in np.arange(5) / 5.0:
+        one = replace(scene, offset_px=float(offset))
+        points = extract_stripe(render_stripe(one, rng), None, StripeOptions(method=method))
+        inner = ((points.uv > 8) & (points.uv < 119)).all(axis=1)
+        error.append(one.error(points.uv[inner]))
+        stated.append(points.u_normal_px[inner])
+        phase.append(points.uv[inner, 1 if angle_deg < 60 else 0] % 1.0)
+    error_px, stated_px, bins = np.concatenate(error), np.concatenate(stated), (np.concatenate(phase) * 6).astype(int)
+    stated_rms = float(np.sqrt(np.mean(stated_px**2)))
+    for k in range(6):
+        here = error_px[bins == k]
+        assert len(here) > 30
+        # errors of neighbours correlate; what else is left is that the pixel's square is not part of the Gaussian shape
+        assert abs(here.mean()) < 4.0 * stated_rms * np.sqrt(1.8 / len(here)) + 0.002
+    assert stated_rms / error_px.std() == pytest.approx(1.0, abs=0.2)
+
+
 @pytest.mark.parametrize("method", ["gray-gravity", "improved-gray-gravity", "steger", "profile-fit"])
 def test_spread_of_repeats_is_the_stated_uncertainty(method):
     """One place of the stripe, 120 images that differ by their noise alone."""

@@ -199,6 +199,25 @@ def test_red_laser_on_white_paper_is_measured_in_green(core_clipped):
     assert (~paper).sum() < 30
 
 
+def test_a_white_core_is_found_after_the_background_was_subtracted():
+    """A red laser on white paper, so strong that its core is as white as the paper; the camera chose its exposure itself."""
+    rng = np.random.default_rng(9)
+    scene = replace(SCENE, image_size=(240, 160), angle_deg=3.0, noise=0.0, background=0.0, peak=1.0, bits=16)
+    core = render_stripe(replace(scene, sigma_px=3.6), rng) / 257.0
+    halo = render_stripe(replace(scene, sigma_px=10.0), rng) / 257.0
+    paper = np.full((160, 240, 3), 180.0)
+    paper[:, :40] = 60.0
+    paper[20:30, 60:] = 12.0
+    light = np.stack([60.0 * halo + 130.0 * core, 110.0 * core - 6.0 * halo, 120.0 * core], axis=-1)
+    ground = np.rint((1.04 * paper - 4.0 + rng.normal(0.0, 1.5, paper.shape)).clip(0, 255)).astype(np.uint8)
+    image = np.rint((paper + light + rng.normal(0.0, 1.5, paper.shape)).clip(0, 255)).astype(np.uint8)
+    points = extract_stripe(image, ground)
+    on_paper = (points.uv[:, 0] > 48) & (points.uv[:, 0] < 230)
+    assert on_paper.sum() > 170
+    assert np.sqrt(np.mean(scene.error(points.uv[on_paper]) ** 2)) < 0.15
+    assert np.abs(scene.error(points.uv)).max() < 2.0  # nothing else
+
+
 def test_red_laser_in_the_dark_is_measured_in_red():
     rng = np.random.default_rng(1)
     grey = render_stripe(replace(SCENE, noise=0.0, background=0.0), rng).astype(float)
