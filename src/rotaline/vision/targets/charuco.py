@@ -108,7 +108,7 @@ def _agreeing_markers(
         agreeing = np.arange(len(xy)) == k
         for _ in range(5):
             h = fit_homography(xy[agreeing].reshape(-1, 2), uv[agreeing].reshape(-1, 2))
-            now = _agreement(h, xy, uv, far=agreeing.sum() < 3)
+            now = _agreement(h, xy, uv, far=bool(agreeing.sum() < 3))
             if np.array_equal(now, agreeing) or not now.any():
                 break
             agreeing = now

@@ -1,7 +1,11 @@
 """Detection of a checkerboard."""
 
+from collections.abc import Callable
+from functools import partial
+
 import cv2
 import numpy as np
+from jaxtyping import Float, Int
 
 from rotaline.errors import DetectionError
 from rotaline.vision.targets.locate import locate_grid
@@ -27,25 +31,42 @@ def detect_checkerboard(grey: np.ndarray, target: Checkerboard, coarse_size_px: 
     """
     longer = max(grey.shape)
     first = max(1, round(longer / coarse_size_px))
-    nearly = (0, 0)
+    nearly = Checkerboard((0, 0), target.pitch)
+    confirm: Callable[[], tuple[MeasuredGrid | None, tuple[int, int]]] | None = None
     for factor in _factors(first):
         if min(grey.shape) < 20 * factor or (factor == 0 and grey.size > 3e6):
             continue
         coarse = reduce_image(grey, factor) if factor else cv2.resize(grey, None, fx=2, fy=2)
 
-        def measure(ids: np.ndarray, uv: np.ndarray, _: np.ndarray, coarse: np.ndarray = coarse) -> MeasuredGrid:
-            scale = coarse.shape[1] / grey.shape[1]
-            measured = measure_grid(coarse, target, ids, uv)
-            if coarse.shape == grey.shape:
-                return measured
-            return measure_grid(grey, target, measured.point_ids, (measured.uv + 0.5) / scale - 0.5)
-
-        found, size = locate_grid(find_saddles(coarse), target, measure, max_seeds=400)
+        candidates = find_saddles(coarse)
+        found, size = locate_grid(candidates, target, partial(_measure, grey, coarse, target), 400)
         if found is not None:
             return _in_order(target, found)
-        if size[0] * size[1] > nearly[0] * nearly[1]:
-            nearly = size
-    raise DetectionError(_nothing(target, nearly))
+        if min(size) >= 3 and size[0] * size[1] > nearly.inner_corners[0] * nearly.inner_corners[1]:
+            nearly = Checkerboard(size, target.pitch)
+            confirm = partial(locate_grid, candidates, nearly, partial(_measure, grey, coarse, nearly), 400)
+    if confirm is not None and confirm()[0] is not None:
+        raise DetectionError(_another_size(target, nearly.inner_corners))
+    raise DetectionError(
+        f"No checkerboard was found; one of {target.inner_corners[0]} x {target.inner_corners[1]} inner corners was expected. "
+        "Is it whole in view, lit and in focus?"
+    )
+
+
+def _measure(
+    grey: np.ndarray,
+    coarse: np.ndarray,
+    target: Checkerboard,
+    ids: Int[np.ndarray, " n"],
+    uv: Float[np.ndarray, "n 2"],
+    _: Int[np.ndarray, " n"],
+) -> MeasuredGrid:
+    """Measure in the image in which the corners were looked for, then in the image itself."""
+    measured = measure_grid(coarse, target, ids, uv)
+    if coarse.shape == grey.shape:
+        return measured
+    scale = coarse.shape[1] / grey.shape[1]
+    return measure_grid(grey, target, measured.point_ids, (measured.uv + 0.5) / scale - 0.5)
 
 
 def _factors(first: int) -> list[int]:
@@ -63,15 +84,10 @@ def _in_order(target: Checkerboard, measured: MeasuredGrid) -> TargetDetection:
     return canonical(detection)
 
 
-def _nothing(target: Checkerboard, nearly: tuple[int, int]) -> str:
+def _another_size(target: Checkerboard, size: tuple[int, int]) -> str:
     columns, rows = target.inner_corners
-    wanted = f"{columns} x {rows} inner corners"
-    found_columns, found_rows = nearly
-    if (found_columns > found_rows) != (columns > rows):
-        found_columns, found_rows = found_rows, found_columns
-    if found_columns < 2 or found_rows < 2 or found_columns * found_rows < 9:
-        return f"No checkerboard was found; one of {wanted} was expected. Is it in view, lit and in focus?"
+    found = sorted(size, reverse=columns >= rows)
     return (
-        f"A checkerboard of {found_columns} x {found_rows} inner corners was found, {wanted} were expected: "
+        f"A checkerboard of {found[0]} x {found[1]} inner corners was found, {columns} x {rows} inner corners were expected: "
         "correct inner_corners in session.toml, or show the whole board."
     )

@@ -1,5 +1,6 @@
 """Detection of a plate of dots."""
 
+from collections.abc import Callable
 from functools import partial
 
 import cv2
@@ -34,35 +35,42 @@ def detect_dots(grey: np.ndarray, target: DotGrid, coarse_size_px: int) -> Targe
         If no plate of this size is there; the message says which size was nearly found.
     """
     first = max(1, round(max(grey.shape) / coarse_size_px))
-    nearly = (0, 0)
     best: MeasuredGrid | None = None
+    nearly = DotGrid((0, 0), target.pitch)
+    confirm: Callable[[], tuple[MeasuredGrid | None, tuple[int, int]]] | None = None
     for factor in (first, 1) if first > 1 else (1,):
         coarse = cv2.convertScaleAbs(reduce_image(grey, factor))
         for light in (False, True):
             for window in _WINDOWS_PX:
                 candidates = find_blobs(coarse, window, light)
-                measure = partial(_measure, grey, target, factor, light, candidates.size)
-                found, size = locate_grid(candidates, target, measure, max_seeds=150)
-                if size[0] * size[1] > nearly[0] * nearly[1]:
-                    nearly = size
+                measure = partial(_measure, grey, factor, light, candidates.size)
+                found, size = locate_grid(candidates, target, partial(measure, target=target), 150)
                 if found is not None and (best is None or len(found.point_ids) > len(best.point_ids)):
                     best = found
                 if best is not None and len(best.point_ids) > 0.8 * target.dots[0] * target.dots[1]:
                     return canonical(TargetDetection(target, best.point_ids, best.uv, best.u_px))
+                if min(size) >= 3 and size[0] * size[1] > nearly.dots[0] * nearly.dots[1]:
+                    nearly = DotGrid(size, target.pitch)
+                    confirm = partial(locate_grid, candidates, nearly, partial(measure, target=nearly), 150)
     if best is not None:
         return canonical(TargetDetection(target, best.point_ids, best.uv, best.u_px))
-    raise DetectionError(_nothing(target, nearly))
+    if confirm is not None and confirm()[0] is not None:
+        raise DetectionError(_another_size(target, nearly.dots))
+    raise DetectionError(
+        f"No plate of dots was found; one of {target.dots[0]} x {target.dots[1]} dots was expected. "
+        "Is it whole in view, lit and in focus?"
+    )
 
 
 def _measure(
     grey: np.ndarray,
-    target: DotGrid,
     factor: int,
     light: bool,
     sizes: Float[np.ndarray, " k"],
     ids: Int[np.ndarray, " n"],
     uv: Float[np.ndarray, "n 2"],
     numbers: Int[np.ndarray, " n"],
+    target: DotGrid,
 ) -> MeasuredGrid:
     """Measure the dots, starting with the radius (mm) that the areas of the blobs tell."""
     spread_mm, spread_px = np.cov(target.points_board()[ids, :2].T), np.cov(uv.T)
@@ -77,15 +85,10 @@ def _measure(
     return measured
 
 
-def _nothing(target: DotGrid, nearly: tuple[int, int]) -> str:
+def _another_size(target: DotGrid, size: tuple[int, int]) -> str:
     columns, rows = target.dots
-    wanted = f"{columns} x {rows} dots"
-    found_columns, found_rows = nearly
-    if (found_columns > found_rows) != (columns > rows):
-        found_columns, found_rows = found_rows, found_columns
-    if found_columns < 3 or found_rows < 3:
-        return f"No plate of dots was found; one of {wanted} was expected. Is it in view, lit and in focus?"
+    found = sorted(size, reverse=columns >= rows)
     return (
-        f"A plate of {found_columns} x {found_rows} dots was found, {wanted} were expected: "
+        f"A plate of {found[0]} x {found[1]} dots was found, {columns} x {rows} dots were expected: "
         "correct dots in session.toml, or show the whole plate."
     )

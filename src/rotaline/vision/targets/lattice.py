@@ -18,6 +18,7 @@ from rotaline.vision.targets.grid_map import fit_grid_map_robust
 
 _NEIGHBOURS = 20
 _STEP_TOLERANCE = 0.3  # of a step; the next point must stand this close to its prediction
+_ROUGH = 0.08  # of a step; points that scatter more about a smooth map are no grid
 _MAX_PLACEMENTS = 6
 _MINIMUM = 8  # points of a lattice worth looking at
 
@@ -97,9 +98,12 @@ def grow_lattices(candidates: Candidates, least: int = _MINIMUM, max_seeds: int 
         assigned = _grow(candidates, seed, star, near)
         if len(assigned) < least:
             continue
-        lattice = _fill(candidates, assigned, tree)
-        used[lattice.ids] = True
-        yield lattice
+        used[list(assigned.values())] = True
+        grown = Lattice(np.array(list(assigned.values())), np.array(list(assigned.keys())))
+        lattice = _fill(candidates, _reduced(grown, candidates), tree)
+        if lattice is not None:
+            used[lattice.ids] = True
+            yield lattice
 
 
 def _opposite_pairs(
@@ -122,11 +126,30 @@ def _opposite_pairs(
         if first is None:
             first = mean_steps[i]
             continue
-        second = mean_steps[i]
+        second = mean_steps[i] - _multiple(mean_steps[i], first, bool(np.isfinite(candidates.phase[seed]))) * first
         cross = first[0] * second[1] - first[1] * second[0]
         if abs(cross) > 0.25 * np.linalg.norm(first) * np.linalg.norm(second):
-            return (first, second) if cross > 0 else (first, -second)
+            second = _halved(first, second if cross > 0 else -second, steps)
+            return first, second
     return None
+
+
+def _halved(
+    first: Float[np.ndarray, "2"], second: Float[np.ndarray, "2"], steps: Float[np.ndarray, "k 2"]
+) -> Float[np.ndarray, "2"]:
+    """A shorter second step, if a neighbour stands half way: beside a gap every other row may have been taken."""
+    for half in (second / 2, (second + first) / 2, (second - first) / 2):
+        distance = np.linalg.norm(np.concatenate([steps - half, steps + half]), axis=1)
+        if distance.min() < 0.2 * min(np.linalg.norm(half), np.linalg.norm(first)):
+            return half
+    return second
+
+
+def _multiple(long: Float[np.ndarray, "2"], short: Float[np.ndarray, "2"], alternating: bool) -> int:
+    """How often a step can be taken off another to make it shorter; an even number where points alternate."""
+    square = float(short @ short)
+    ratio = float(long @ short) / square if square > 0 else 0.0
+    return 2 * round(ratio / 2) if alternating else round(ratio)
 
 
 def _grow(
@@ -148,13 +171,12 @@ def _grow(
         if not len(around):
             continue
         offsets = uv[around] - uv[here]
-        found: dict[tuple[int, int], np.ndarray] = {}
+        shorter = min(np.linalg.norm(a), np.linalg.norm(b))
         for di, dj in ((1, 0), (0, 1), (-1, 0), (0, -1)):
             step = di * a + dj * b
             distance = np.linalg.norm(offsets - step, axis=1)
             best = int(distance.argmin())
-            if distance[best] < _STEP_TOLERANCE * np.linalg.norm(step):
-                found[di, dj] = offsets[best]
+            if distance[best] < min(_STEP_TOLERANCE * np.linalg.norm(step), 0.5 * shorter):
                 target = (cell[0] + di, cell[1] + dj)
                 candidate = int(around[best])
                 if target in assigned or candidate in taken:
@@ -167,18 +189,27 @@ def _grow(
     return assigned
 
 
-def _fill(candidates: Candidates, assigned: dict[tuple[int, int], int], tree: cKDTree) -> Lattice:
-    """Drop points that do not follow a smooth map, then look for missing ones in gaps and around, until nothing changes."""
+def _fill(candidates: Candidates, lattice: Lattice, tree: cKDTree) -> Lattice | None:
+    """Drop points that do not follow a smooth map, then look for missing ones in gaps and around, until nothing changes.
+
+    None if the points do not follow any: neighbours by chance.
+    """
+    cells, ids = lattice.cells, lattice.ids
     for _ in range(12):
-        cells = np.array(list(assigned.keys()))
-        ids = np.array(list(assigned.values()))
         try:
             step = _median_step(cells, candidates.uv[ids])
-            grid_map, kept, _ = fit_grid_map_robust(
-                cells.astype(float), candidates.uv[ids], floor_px=0.12 * step, max_degree=3 if len(ids) >= 60 else 2
+            core = _surrounded(cells)
+            grid_map, kept, rms = fit_grid_map_robust(
+                cells[core].astype(float), candidates.uv[ids[core]], 0.12 * step, max_degree=3 if len(ids) >= 60 else 2
             )
+            if not core.all():
+                with np.errstate(all="ignore"):
+                    distance = np.linalg.norm(grid_map.apply(cells.astype(float)) - candidates.uv[ids], axis=1)
+                kept = distance < 0.15 * step
         except GeometryError:
-            return Lattice(ids, cells)
+            return None
+        if not rms < _ROUGH * step:
+            return None
         cells, ids = cells[kept], ids[kept]
         assigned = {(int(c[0]), int(c[1])): int(i) for c, i in zip(cells, ids, strict=True)}
         low, high = cells.min(axis=0) - 1, cells.max(axis=0) + 1
@@ -203,10 +234,26 @@ def _fill(candidates: Candidates, assigned: dict[tuple[int, int], int], tree: cK
                 assigned[cell[0], cell[1]] = int(i)
                 taken.add(int(i))
                 added = True
+        cells, ids = np.array(list(assigned.keys())), np.array(list(assigned.values()))
         if not added:
             break
-    cells = np.array(list(assigned.keys()))
-    return Lattice(np.array(list(assigned.values())), cells)
+    return Lattice(ids, cells)
+
+
+def _reduced(lattice: Lattice, candidates: Candidates) -> Lattice:
+    """The same points with the shortest steps that reach them all (corners: steps that change the phase)."""
+    alternating = bool(np.isfinite(candidates.phase[lattice.ids[0]]))
+    cells = lattice.cells - lattice.cells.mean(axis=0)
+    steps = np.linalg.lstsq(cells, candidates.uv[lattice.ids] - candidates.uv[lattice.ids].mean(axis=0), rcond=None)[0]
+    change = np.eye(2, dtype=int)  # rows: new steps in terms of the old ones
+    for _ in range(20):
+        long, short = (1, 0) if steps[1] @ steps[1] >= steps[0] @ steps[0] else (0, 1)
+        times = _multiple(steps[long], steps[short], alternating)
+        if times == 0:
+            break
+        steps[long] -= times * steps[short]
+        change[long] -= times * change[short]
+    return Lattice(lattice.ids, np.round(lattice.cells @ np.linalg.inv(change)).astype(int))
 
 
 def _matches_far(candidates: Candidates, reference: int, other: int, odd: bool) -> bool:
@@ -215,6 +262,13 @@ def _matches_far(candidates: Candidates, reference: int, other: int, odd: bool) 
         turn = float(np.cos(2 * (candidates.phase[other] - candidates.phase[reference])))
         return turn < 0 if odd else turn > 0
     return bool(0.1 < candidates.size[other] / candidates.size[reference] < 10)
+
+
+def _surrounded(cells: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+    """Cells with at least three of their four neighbours, where a wrong point is unlikely; all, if these are few."""
+    count = cKDTree(cells).query_ball_point(cells, 1.01, return_length=True)
+    core = np.asarray(count >= 4)
+    return core if core.sum() >= max(12, 0.3 * len(cells)) else np.ones(len(cells), dtype=bool)
 
 
 def _beside(free: Int[np.ndarray, "m 2"], cells: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, " m"]:
@@ -254,7 +308,7 @@ def place_grid(
     found : (columns, rows)   size of the well-occupied part of the lattice
     """
     proposals: list[tuple[float, int, Placement]] = []
-    seen = (0, 0)
+    seen, most = (0, 0), 0
     enough = len(lattice) >= 0.5 * grid_size[0] * grid_size[1]
     for order, matrix in enumerate(_shears(odd_too=not alternating) if enough else [np.eye(2, dtype=int)]):
         cells = lattice.cells @ matrix.T
@@ -264,9 +318,9 @@ def place_grid(
             continue
         occupied = np.zeros(shape, dtype=bool)
         occupied[tuple((cells - low).T)] = True
-        core = _core(occupied)
-        if core[0] * core[1] > seen[0] * seen[1]:
-            seen = core
+        core, gain = _core(occupied)
+        if gain > most:
+            seen, most = core, gain
         inverse = np.round(np.linalg.inv(matrix)).astype(int)
         for turned in (False, True) if grid_size[0] != grid_size[1] else (False,):
             size = grid_size[::-1] if turned else grid_size
@@ -308,8 +362,8 @@ def _windows(occupied: Bool[np.ndarray, "a b"], size: tuple[int, int]) -> list[t
     return windows
 
 
-def _core(occupied: Bool[np.ndarray, "a b"]) -> tuple[int, int]:
-    """Size of the lattice without border lines that are less than half occupied."""
+def _core(occupied: Bool[np.ndarray, "a b"]) -> tuple[tuple[int, int], int]:
+    """Size of the lattice without border lines that are less than half occupied; its occupied minus its empty cells."""
     part = occupied
     while part.size:
         ends = (part[0].mean(), part[-1].mean(), part[:, 0].mean(), part[:, -1].mean())
@@ -317,4 +371,4 @@ def _core(occupied: Bool[np.ndarray, "a b"]) -> tuple[int, int]:
         if ends[worst] >= 0.5:
             break
         part = (part[1:], part[:-1], part[:, 1:], part[:, :-1])[worst]
-    return int(part.shape[0]), int(part.shape[1])
+    return (int(part.shape[0]), int(part.shape[1])), int(2 * part.sum() - part.size)

@@ -73,7 +73,7 @@ def measure_grid(
         for first in (True, False):
             centres, ids, radius = _measure(image, target, grid_map, known, dot_radius, first)
             good, sign = _acceptable(target, ids, centres)
-            if np.count_nonzero(good) < 6:
+            if np.count_nonzero(good) < max(6, 0.5 * len(known[0])):
                 raise DetectionError(_few(int(good.sum()), len(ids)))
             contrast = float(np.median(centres.contrast[good]))
             if radius is not None:
