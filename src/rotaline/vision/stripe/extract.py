@@ -185,8 +185,8 @@ def _centres(
     if options.method == "profile-fit":
         centres = _moved(fit_gaussian(*strips(4.5 * width + 1.5), zero, width, rough.height), start)
         return centres, _scatter(trace, centres, noise)[1]
+    pixels, under = strips(_REACH * width + 1.5)
     for _ in range(_WIDTH_PASSES):
-        pixels, under = strips(_REACH * width + 1.5)
         one = weighted_centroid(pixels, under, ground.slope_variance, shift, width, n_iterations=2)
         usable = np.isfinite(one.shift_px)
         shift = np.where(usable, one.shift_px, 0.0)
@@ -194,7 +194,8 @@ def _centres(
         width = trace.chains.window_mean(measured, 10)
     best: tuple[float, float, Centres] | None = None
     for window in _WINDOWS:
-        pixels, under = strips(_REACH * window * width + 1.5)
+        if window > 1.0:
+            pixels, under = strips(_REACH * window * width + 1.5)
         centres = _moved(weighted_centroid(pixels, under, ground.slope_variance, shift, width, window, 3), start)
         scatter, floor = _scatter(trace, centres, noise)
         if best is None or scatter < _WIDER * best[0]:
