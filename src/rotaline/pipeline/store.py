@@ -1,7 +1,7 @@
 """Results of stages in the results folder, so that a run goes on where it stopped.
 
-The file name holds a key of everything that the result depends on: the version of the program, the input files (name, size,
-time of change), the options of the stage and the keys of the stages before it.
+The file name holds a key of everything that the result depends on: the program itself, the input files (name, size, time of
+change), the options of the stage and the keys of the stages before it.
 """
 
 import hashlib
@@ -9,6 +9,7 @@ import json
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,10 +22,19 @@ from rotaline.pipeline.observer import LOG, Observer
 T = TypeVar("T")
 
 
+@cache
+def _program_key() -> str:
+    """A key of the program's own source: another version, or a changed line, makes stored results void."""
+    digest = hashlib.sha256(__version__.encode())
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
 def key_of(*parts: Any) -> str:
     """A key of values: text, numbers, tuples, dataclasses of those."""
     text = json.dumps(
-        [__version__, *parts],
+        [_program_key(), *parts],
         default=lambda v: asdict(v) if is_dataclass(v) and not isinstance(v, type) else str(v),
         sort_keys=True,
     )
