@@ -19,6 +19,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rotaline.calibration.board_shape import bend_bases, bent_targets, is_bend_shown, leave_one_out_changes
 from rotaline.calibration.camera_warnings import describe_bent_targets, describe_weak_parameters, describe_weak_views
+from rotaline.calibration.capture_consistency import capture_of, describe_conflict, find_conflict
 from rotaline.calibration.homography import pose_from_homography
 from rotaline.calibration.lens_prior import lens_prior, without_distortion
 from rotaline.calibration.model import CameraCalibration, CameraView, TargetView
@@ -48,6 +49,9 @@ _ROBUST_ROUNDS = 10
 _ROBUST_ITERATIONS = 4
 _REJECTION_ROUNDS = 6
 _SPREAD_RATIO = 2.0
+_LENIENT = 4.0
+_MANY_POINTS = 0.05
+"""Part of a view's points that may be left out without a word: a few are off in most images."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,10 @@ class CameraOptions:
 
 
 def calibrate_camera(
-    views: Sequence[TargetView], image_size: tuple[int, int], options: CameraOptions = CameraOptions()
+    views: Sequence[TargetView],
+    image_size: tuple[int, int],
+    options: CameraOptions = CameraOptions(),
+    preferred: frozenset[str] = frozenset(),
 ) -> CameraCalibration:
     """Focal lengths, principal point and distortion from views of flat targets [1]_, [2]_.
 
@@ -90,6 +97,7 @@ def calibrate_camera(
     views : what was detected, one entry an image
     image_size : (width, height) px
     options : CameraOptions
+    preferred : captures (folders of the views' names) whose camera counts where captures contradict each other
 
     Returns
     -------
@@ -113,12 +121,10 @@ def calibrate_camera(
     turned = _without_mirror_poses(state, camera)
     if any(a.pose is not b.pose for a, b in zip(turned, state, strict=True)):
         state, camera = _fit_robust(turned, camera, names)
+    state, warnings = _leave_out_other_cameras(state, views, camera, names, options, preferred)
     state, fit = _reject_bent(state, views, camera, names, options)
     u_parameters, sigma_px, spread_ratio = _uncertainty(fit, state)
-    warnings: list[str] = []
-    p = len(names)
-    cov = covariance_from_factor(fit.information, (spread_ratio * sigma_px) ** 2)[:p, :p]
-    weak = describe_weak_parameters(fit.camera, names, cov)
+    weak = _describe_weak(fit, state, names)
     if weak and options.weak_parameters == "regularise":
         prior = lens_prior(names, image_size, fit.camera, spread_ratio * sigma_px)
         state, fit = _reject(state, views, without_distortion(fit.camera, image_size), names, prior, options)
@@ -139,7 +145,9 @@ def calibrate_camera(
     if spread_ratio > 1.0:
         warnings.append(
             f"Leaving out single views changes the camera {spread_ratio:.1f} times as much as the image noise explains: the "
-            "target may not be flat, or its points are off. The standard deviations were enlarged by this factor."
+            "target may not be flat, its points may be off, or it or the camera moved during exposure. The standard "
+            "deviations were enlarged by this factor. To do better, use a stiff target of known pitch, hold it still, and "
+            "look at the views with the largest residuals."
         )
     results = tuple(_view_result(view, s, fit.camera) for view, s in zip(views, state, strict=True))
     used = [v for v in results if v.used]
@@ -288,6 +296,49 @@ def _without_mirror_poses(state: Sequence[ViewState], camera: CameraModel) -> li
     return turned
 
 
+def _describe_weak(fit: BundleFit, state: Sequence[ViewState], names: tuple[str, ...]) -> list[str]:
+    _, sigma_px, spread_ratio = _uncertainty(fit, state)
+    cov = covariance_from_factor(fit.information, (spread_ratio * sigma_px) ** 2)[: len(names), : len(names)]
+    return describe_weak_parameters(fit.camera, names, cov)
+
+
+def _leave_out_other_cameras(
+    state: Sequence[ViewState],
+    views: Sequence[TargetView],
+    camera: CameraModel,
+    names: tuple[str, ...],
+    options: CameraOptions,
+    preferred: frozenset[str],
+) -> tuple[list[ViewState], list[str]]:
+    """Leave out captures that show another camera than a preferred one, if that alone determines its camera; say so."""
+    captures = [capture_of(view.name) for view in views]
+    current, warnings = list(state), []
+    # views of another camera fit badly: they must not be thrown out one by one before they are understood
+    lenient = replace(options, view_outlier_ratio=_LENIENT * options.view_outlier_ratio)
+    for _ in range(len(set(captures)) - 1):
+        tried, fit = _reject_bent(current, views, camera, names, lenient)
+        conflict = find_conflict(fit, [c for c, s in zip(captures, tried, strict=True) if not s.reason])
+        if conflict is None:
+            break
+        others = set(conflict.names) - preferred
+        only = [
+            replace(s, reason=f"{c} shows another camera than the preferred captures")
+            if c in others and not s.reason
+            else s
+            for c, s in zip(captures, current, strict=True)
+        ]
+        n_left = sum(not s.reason for s in only)
+        kept = len(others) == 1 and n_left >= 2 * MIN_VIEWS
+        if kept:
+            tried, fit = _reject_bent(only, views, camera, names, options)
+            kept = not _describe_weak(fit, tried, names)
+        warnings.append(describe_conflict(conflict, next(iter(others)) if kept else None))
+        if not kept:
+            break
+        current, camera = only, fit.camera
+    return current, warnings
+
+
 def _reject_bent(
     state: Sequence[ViewState],
     views: Sequence[TargetView],
@@ -397,12 +448,11 @@ def _view_result(view: TargetView, state: ViewState, camera: CameraModel) -> Cam
 
 def _describe_outliers(views: Sequence[TargetView], state: Sequence[ViewState]) -> list[str]:
     lines = [f"{v.name} was left out: {s.reason}." for v, s in zip(views, state, strict=True) if s.reason]
-    counts = [
-        (v.name, int((s.observation.weights == 0).sum())) for v, s in zip(views, state, strict=True) if not s.reason
-    ]
-    lost = [f"{name} ({n})" for name, n in counts if n]
-    if lost:
-        lines.append(
-            "Points far off the others were left out (glare, dirt, or a bad detection): " + ", ".join(lost) + "."
-        )
+    for view, s in zip(views, state, strict=True):
+        n, n_out = len(s.observation.weights), int((s.observation.weights == 0).sum())
+        if not s.reason and n_out > max(1, _MANY_POINTS * n):
+            lines.append(
+                f"{n_out} of {n} points of {view.name} were left out, far off the others: look for glare, dirt, a hidden part "
+                "or blur there, and take the image again."
+            )
     return lines

@@ -144,10 +144,11 @@ class Calibrator:
                 TargetView(d.name, d.detection) for d in detected if d.detection is not None and d.name not in seen
             ]
             seen |= {d.name for d in detected}
-        key = key_of(keys, self._options.camera, self._session.image_size)
+        preferred = frozenset(c.folder for c in self._session.in_role("laser-plane"))  # what sees the stripes
+        key = key_of(keys, self._options.camera, self._session.image_size, sorted(preferred))
 
         def compute() -> CameraCalibration:
-            return calibrate_camera(views, self._session.image_size, self._options.camera)
+            return calibrate_camera(views, self._session.image_size, self._options.camera, preferred)
 
         result = self._attempt("camera", lambda: self._store.get("camera", "Camera", key, compute))
         if result is not None:
