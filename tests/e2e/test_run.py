@@ -13,6 +13,9 @@ from rotaline.io.clouds import read_points
 from rotaline.simulation.rig import Sensor
 from rotaline.simulation.session import build_rig, small_plan, truth_path, write_session
 
+pytestmark = pytest.mark.xdist_group("run")
+"""One worker renders and runs the session for all of these tests."""
+
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory):
@@ -54,8 +57,11 @@ def test_the_calibration_is_that_of_the_rig(finished):
     true_axis = truth["rotation_axis_camera"]
     angle = np.arccos(min(1.0, float(found.rotation_axis_camera.direction @ true_axis["direction"])))
     assert angle < 0.003
-    distance = found.rotation_axis_camera.distance_to(np.array([true_axis["point"]]))[0]
-    assert distance < 0.1
+    # the focal length scales the depth of everything; the axis itself adds its own uncertainty
+    point = np.array([true_axis["point"]])
+    u_depth = np.linalg.norm(point) * u["fx"] / found.camera.fx
+    u_axis = quality["artifact"]["u_position_mm"]
+    assert found.rotation_axis_camera.distance_to(point)[0] < 4 * np.hypot(u_depth, u_axis)
     true_plane = truth["laser_plane_camera"]
     assert abs(found.laser_plane_camera.normal @ true_plane["normal"]) > np.cos(0.003)
 
@@ -179,6 +185,7 @@ def test_check_lists_what_is_there(copied, call):
     assert all(s["possible"] for s in document["stages"])
 
 
+@pytest.mark.xdist_group("rigs")
 @pytest.mark.parametrize(
     ("name", "options", "plan"),
     [
