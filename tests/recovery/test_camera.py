@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from rotaline.calibration.intrinsics import CameraOptions, calibrate_camera
 from rotaline.calibration.model import CameraCalibration, TargetView
@@ -74,6 +75,47 @@ def test_regularised_camera_is_within_what_it_states() -> None:
         result = calibrate_camera(views, camera.image_size)
         assert any("by themselves" in text for text in result.warnings)
         assert np.abs(normalised_errors(result, camera))[:4].max() < 4
+
+
+def weak_session(seed: int) -> tuple[CameraModel, list[TargetView], list[RigidTransform]]:
+    """Four to six little tilted views, a principal point some 6 % off the centre, and other poses to judge the camera by."""
+    rng = np.random.default_rng(seed)
+    focal = rng.uniform(600.0, 1300.0)
+    cx, cy = np.array([319.5, 239.5]) + 0.06 * 640 * rng.standard_normal(2)
+    corner = 400 / focal
+    camera = CameraModel((640, 480), focal, focal, float(cx), float(cy), rng.uniform(-0.1, 0.05) / corner**2)
+    depth = 0.3 * focal  # the board fills a tenth of the image
+    poses = random_board_poses(
+        camera,
+        TARGET,
+        int(rng.integers(4, 7)),
+        rng,
+        spread=0.2,
+        tilt_deg=(3.0, 20.0),
+        distance_mm=(0.9 * depth, 1.1 * depth),
+    )
+    views = [TargetView(f"v{k}", observe_target(camera, p, TARGET, 0.15, rng)) for k, p in enumerate(poses)]
+    others = random_board_poses(camera, TARGET, 5, rng, tilt_deg=(5.0, 35.0), distance_mm=(0.85 * depth, 1.15 * depth))
+    return camera, views, others
+
+
+def test_leaning_on_lenses_makes_weak_cameras_better() -> None:
+    """Over 12 weak sessions, by what counts: how wrong boards stand to each other that are seen with the camera."""
+    rng = np.random.default_rng(0)
+    points = TARGET.points_board()
+    errors: dict[str, list[float]] = {"regularise": [], "free": []}
+    for seed in range(12):
+        camera, views, poses = weak_session(seed)
+        seen = [observe_target(camera, p, TARGET, 0.0, rng).uv for p in poses]
+        for how in ("regularise", "free"):
+            found = calibrate_camera(views, camera.image_size, CameraOptions(weak_parameters=how)).camera
+            placed = [estimate_board_pose(found, points, uv).camera_from_board for uv in seen]
+            between = [
+                (placed[0].inv() * a).apply(points) - (poses[0].inv() * b).apply(points)
+                for a, b in zip(placed[1:], poses[1:], strict=True)
+            ]
+            errors[how].append(float(np.sqrt(np.mean(np.square(between)))))
+    assert np.mean(errors["regularise"]) < np.mean(errors["free"])
 
 
 def test_spread_of_poses_is_what_is_stated() -> None:

@@ -51,7 +51,9 @@ _REJECTION_ROUNDS = 6
 _SPREAD_RATIO = 2.0
 _LENIENT = 4.0
 _MANY_POINTS = 0.05
-"""Part of a view's points that may be left out without a word: a few are off in most images."""
+"""Part of a view's points that may be far off without a word: a few are in most images."""
+_FAR_PX = 0.25
+"""Smaller errors are those of a detector in blur or noise; there is nothing to see in the image."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,7 @@ def calibrate_camera(
     stated, found = bent_targets([view.detection for view in views], fit.bend) if len(fit.bend) else ((), ())
     warnings += describe_bent_targets(found)
     warnings += describe_weak_views(fit.camera, used)
-    warnings += _describe_outliers(views, state)
+    warnings += _describe_outliers(views, state, fit.camera)
     lengths = np.concatenate([np.linalg.norm(v.residuals_px, axis=1) for v in used])
     lengths = lengths[np.isfinite(lengths)]
     return CameraCalibration(
@@ -446,11 +448,15 @@ def _view_result(view: TargetView, state: ViewState, camera: CameraModel) -> Cam
     return CameraView(view.name, True, "", state.pose, rms, detection.uv, residuals)
 
 
-def _describe_outliers(views: Sequence[TargetView], state: Sequence[ViewState]) -> list[str]:
+def _describe_outliers(views: Sequence[TargetView], state: Sequence[ViewState], camera: CameraModel) -> list[str]:
+    """Views that were left out, and views with many points that are off by more than a detector's error."""
     lines = [f"{v.name} was left out: {s.reason}." for v, s in zip(views, state, strict=True) if s.reason]
     for view, s in zip(views, state, strict=True):
-        n, n_out = len(s.observation.weights), int((s.observation.weights == 0).sum())
-        if not s.reason and n_out > max(1, _MANY_POINTS * n):
+        if s.reason or s.pose is None:
+            continue
+        lengths = np.linalg.norm(reprojection_residuals(camera, s.pose, s.observation), axis=1)
+        n, n_out = len(lengths), int(((s.observation.weights == 0) & (lengths > _FAR_PX)).sum())
+        if n_out > max(1, _MANY_POINTS * n):
             lines.append(
                 f"{n_out} of {n} points of {view.name} were left out, far off the others: look for glare, dirt, a hidden part "
                 "or blur there, and take the image again."

@@ -1,18 +1,19 @@
 """Laser plane: which stripe points count, what is refused, left out and warned of."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
 from rotaline.calibration.laser_plane import StripeView, calibrate_laser_plane
+from rotaline.calibration.pose import estimate_board_pose
 from rotaline.calibration.stripe_on_board import place_stripe_on_board
 from rotaline.errors import CalibrationError, DetectionError
 from rotaline.geometry.primitives import Plane, unit
 from rotaline.simulation.observations import observe_stripe, observe_target, random_board_poses
 from rotaline.vision.camera import CameraModel
-from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target
+from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target, target_height
 
 CAMERA = CameraModel((1280, 960), 2400.0, 2390.0, 645.0, 482.0, -0.11, 0.09, 0.0006, -0.0004)
 PLANE = Plane(unit(np.array([0.85, -0.3, 0.45])), -145.0)
@@ -159,3 +160,35 @@ def test_the_board_frame_may_be_half_turned() -> None:
     a, b = calibrate_laser_plane(CAMERA, views), calibrate_laser_plane(CAMERA, turned)
     np.testing.assert_allclose(a.plane_camera.normal, b.plane_camera.normal, atol=1e-6)
     assert isinstance(b.views[0].camera_from_board, RigidTransform)
+
+
+def test_rays_meet_the_surface_of_a_bent_target() -> None:
+    """Stripe points of a board that is known to be bent lie in the laser plane; taken for flat, they do not."""
+    flat = Checkerboard((9, 8), 6.0)
+    bent = replace(flat, bend=(0.4, -0.3, 0.1))
+    view = stripe_views(1, 3, flat)[0]
+    pose = estimate_board_pose(CAMERA, view.detection.points_board, view.detection.uv).camera_from_board
+    seen = place_stripe_on_board(CAMERA, view, 0.0).xy_board
+    direction = np.array(
+        [0.3, 1.0]
+    )  # along which the stripe shifts where the board is bent; any but that of the stripe
+    xy = seen.copy()
+    for _ in range(20):
+        points = pose.apply(np.column_stack([xy, target_height(bent, xy)]))
+        ahead = pose.apply(np.column_stack([xy + 1e-3 * direction, target_height(bent, xy + 1e-3 * direction)]))
+        distance = PLANE.signed_distance_to(points)
+        xy = xy - (distance / ((PLANE.signed_distance_to(ahead) - distance) / 1e-3))[:, None] * direction
+    uv = CAMERA.project(pose.apply(np.column_stack([xy, target_height(bent, xy)])))
+    ideal = CAMERA.project(pose.apply(bent.points_board()))
+    stripe = replace(
+        view.stripe,
+        **{f.name: uv if f.name == "uv" else getattr(view.stripe, f.name)[: len(uv)] for f in fields(view.stripe)},
+    )
+    misfits = {}
+    for name, target in (("bent", bent), ("flat", flat)):
+        placed = place_stripe_on_board(
+            CAMERA, StripeView(view.name, replace(view.detection, target=target, uv=ideal), stripe), 0.0
+        )
+        misfits[name] = float(np.abs(PLANE.signed_distance_to(placed.points_camera)).max())
+    assert misfits["bent"] < 1e-4
+    assert misfits["flat"] > 0.01
