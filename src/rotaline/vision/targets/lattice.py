@@ -334,7 +334,8 @@ def place_grid(
                 placement = Placement(inverse @ first, inverse @ steps[0], inverse @ steps[1])
                 proposals.append((-score, order, placement))
     proposals.sort(key=lambda p: p[:2])
-    return [placement for _, _, placement in proposals[:_MAX_PLACEMENTS]], seen
+    elsewhere = most >= 0.9 * len(lattice) and sorted(seen) != sorted(grid_size)  # a clean grid of another size
+    return [placement for _, _, placement in proposals[: 2 if elsewhere else _MAX_PLACEMENTS]], seen
 
 
 def _windows(occupied: Bool[np.ndarray, "a b"], size: tuple[int, int]) -> list[tuple[float, tuple[int, int]]]:

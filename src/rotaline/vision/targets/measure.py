@@ -14,6 +14,7 @@ from rotaline.vision.targets.model import CharucoBoard, DotGrid, Target
 _CORNER_REACH_PX = 18.0  # half a window; farther out a corner's edges add little and cost time
 _EDGE_REACH_PX = 4.5  # half the width of the band along an edge that tells where it is
 _LARGEST_WINDOW_PX = 26.0  # dots that are larger are measured in a reduced image
+LEAST = 0.6  # part of a grid's points that must be found
 _OUTLIER_FLOOR_PX = 0.05
 
 
@@ -73,7 +74,8 @@ def measure_grid(
         for first in (True, False):
             centres, ids, radius = _measure(image, target, grid_map, known, dot_radius, first)
             good, sign = _acceptable(target, ids, centres)
-            if np.count_nonzero(good) < max(6, 0.5 * len(known[0])):
+            needed = 6 if isinstance(target, CharucoBoard) else LEAST * len(xy)
+            if np.count_nonzero(good) < max(6, needed):
                 raise DetectionError(_few(int(good.sum()), len(ids)))
             contrast = float(np.median(centres.contrast[good]))
             if radius is not None:
