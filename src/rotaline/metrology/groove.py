@@ -5,10 +5,10 @@ bottom's points from the plane fitted to the top (Li et al. 2026, section 5.6). 
 seen, give the widths: the distances of the lines in which they meet the top and the bottom, in the middle of the length.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from rotaline.errors import GeometryError, MeasurementError
 from rotaline.geometry.fitting import across
@@ -22,14 +22,23 @@ from rotaline.metrology.planes import (
     fit_parallel,
     plane_band,
     segment_planes,
+    table_patch,
 )
 from rotaline.metrology.plausibility import describe_scene, edge_margin
 from rotaline.metrology.scene import Scene
 from rotaline.metrology.surface_fit import SurfaceFit, fit_all_points, form_error
 from rotaline.scanning.thinning import SearchCloud
 
-MIN_SIDE = 0.08
+MIN_SIDE = 0.03
 """Smallest share of the top plane that must lie on either side of the bottom."""
+
+
+MAX_SKEW_RAD = np.deg2rad(30.0)
+MIN_SLOPE_RAD = np.deg2rad(10.0)
+"""A flank runs along the groove to within the first angle, and is steeper than the second."""
+
+MIN_FLANK_POINTS = 20
+"""Fewest points that make a flank: little of it is lit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,16 +145,19 @@ def measure_groove(scene: Scene, nominal: dict[str, float] | None) -> FeatureMea
 def _find_shape(scene: Scene, nominal: dict[str, float] | None) -> GrooveShape:
     """The best pair of planes that makes a groove."""
     patches = segment_planes(scene)
-    shapes = []
-    for top in patches:
-        for bottom in patches:
-            if top is bottom or not are_parallel(top, bottom):
-                continue
-            depth = -float(np.median(top.plane.signed_distance_to(bottom.support.points)))
-            if depth > 2 * plane_band(scene):
-                shape = _between(top, bottom, depth)
-                if shape is not None:
-                    shapes.append(shape)
+    shapes: list[GrooveShape] = []
+    table = table_patch(scene)
+    # In a cloud without a table, the bottom itself may have been taken for one.
+    for bottoms in (patches, () if table is None else (table,)):
+        for top in patches:
+            for bottom in bottoms:
+                if top is bottom or (shapes and bottom.is_table) or not are_parallel(top, bottom):
+                    continue
+                depth = -float(np.median(top.plane.signed_distance_to(bottom.support.points)))
+                if depth > 2 * plane_band(scene):
+                    shape = _between(top, bottom, depth)
+                    if shape is not None:
+                        shapes.append(shape)
     if not shapes:
         levels = sum(are_parallel(a, b) for i, a in enumerate(patches) for b in patches[i + 1 :])
         hint = "Measure it as a step if only one side is there. " if levels else ""
@@ -168,11 +180,17 @@ def _between(top: PlanePatch, bottom: PlanePatch, depth: float) -> GrooveShape |
     for angle in np.deg2rad(np.arange(0.0, 180.0, 2.0)):
         m = np.array([np.cos(angle), np.sin(angle)])
         places = top_2d @ m
-        low, high = np.quantile(bottom_2d @ m, [0.03, 0.97])
-        left, right = float(np.mean(places < low)), float(np.mean(places > high))
-        score = min(left, right) - 2.0 * (1.0 - left - right) - 0.01 * (high - low) / depth
-        if min(left, right) >= MIN_SIDE and 1.0 - left - right < 0.1 and (best is None or score > best[0]):
-            best = (score, m, places, (float(low), float(high)))
+        # The middle of the bottom, as wide as if it were evenly covered: strays in its plane do not count.
+        inner = np.quantile(bottom_2d @ m, [0.1, 0.9])
+        low, high = float(1.1 * inner[0] - 0.1 * inner[1]), float(1.1 * inner[1] - 0.1 * inner[0])
+        is_left, is_right = places < low, places > high
+        left, right = float(np.mean(is_left)), float(np.mean(is_right))
+        if min(left, right) < MIN_SIDE or left + right < 0.9:
+            continue
+        # Strips lie farthest apart when they are seen along their length.
+        gap = float(np.quantile(places[is_right], 0.05) - high + low - np.quantile(places[is_left], 0.95))
+        if best is None or gap > best[0]:
+            best = (gap, m, places, (low, high))
     if best is None:
         return None
     _, m, places, (low, high) = best
@@ -205,28 +223,61 @@ def _fit_flank(scene: Scene, shape: GrooveShape, side: float, noise: float) -> S
     height = -shape.top.plane.signed_distance_to(scene.points)
     inner = shape.bottom_edges[1] if side > 0 else -shape.bottom_edges[0]
     outer = shape.right_edge if side > 0 else -shape.left_edge
-    margin = max(min(edge_margin(scene, shape.depth), 0.2 * shape.depth), 4.0 * noise)
+    margin = min(max(edge_margin(scene, 10.0 * shape.depth), 5.0 * noise), 0.3 * shape.depth)
     slack = 2.0 * scene.part.spacing
-    zone = np.flatnonzero(
-        (place > inner - max(slack, 0.3 * inner))
-        & (place < outer + slack)
-        & (height > margin)
-        & (height < shape.depth - margin)
+    within = (place > inner - max(slack, 0.3 * inner)) & (place < outer + slack)
+    # The faces at the ends of the groove are not flanks.
+    along = np.cross(shape.top.plane.normal, shape.across)
+    ends = np.quantile((shape.top.support.points - origin) @ along, [0.01, 0.99])
+    run = (scene.points - origin) @ along
+    within &= (run > ends[0] + min(margin, 0.1 * float(np.ptp(ends)))) & (
+        run < ends[1] - min(margin, 0.1 * float(np.ptp(ends)))
     )
-    if len(zone) < scene.options.min_points:
-        return None
+    zone = np.flatnonzero(within & (height > margin) & (height < shape.depth - margin))
     band = max(6.0 * noise, 0.01 * shape.depth)
-    try:
-        plane, on = ransac_plane(scene.points[zone], band, scene.rng(), n_min=scene.options.min_points)
-        if abs(plane.normal @ shape.across) < np.sin(np.deg2rad(10.0)):
+    few = replace(scene, options=replace(scene.options, min_points=MIN_FLANK_POINTS))
+    for _ in range(3):
+        if len(zone) < MIN_FLANK_POINTS:
             return None
-        facing = plane if side * (plane.normal @ shape.across) < 0 else plane.flipped()
-        support = SearchCloud(scene.points[zone[on]], scene.points[zone[on]], scene.part.spacing, 0.0)
-        inside = np.zeros(len(scene.points), dtype=bool)
-        inside[zone] = True
-        return fit_all_points(scene, facing, support, band, 0.0, inside)
-    except (GeometryError, MeasurementError):
-        return None
+        try:
+            plane, on = ransac_plane(scene.points[zone], band, scene.rng(), n_min=MIN_FLANK_POINTS)
+            if abs(plane.normal @ along) > np.sin(MAX_SKEW_RAD) or abs(plane.normal @ shape.across) < np.sin(
+                MIN_SLOPE_RAD
+            ):
+                zone = zone[~on]
+                continue
+            facing = plane if side * (plane.normal @ shape.across) < 0 else plane.flipped()
+            cloud = scene.points[zone[on]]
+            support = SearchCloud(cloud, cloud, scene.part.spacing, 0.0, 0.0)
+            flank = _fit_between(few, shape, facing, support, band, margin, within)
+            assert isinstance(flank.surface, Plane)
+            return _fit_between(few, shape, flank.surface, support, band, margin, within)
+        except (GeometryError, MeasurementError):
+            return None
+    return None
+
+
+def _fit_between(
+    scene: Scene,
+    shape: GrooveShape,
+    plane: Plane,
+    support: SearchCloud,
+    band: float,
+    margin: float,
+    within: Bool[np.ndarray, " n"],
+) -> SurfaceFit:
+    """Fit a flank to the points whose feet on it lie between top and bottom.
+
+    Cutting by the foot, not by the height: a cut through the noise of a slanted plane would tilt it.
+    """
+    top = shape.top.plane
+    rise = float(np.linalg.norm(np.cross(top.normal, plane.normal)))
+    foot = scene.points - plane.signed_distance_to(scene.points)[:, None] * plane.normal
+    below_top = -top.signed_distance_to(foot) / rise
+    length = shape.depth / rise
+    margin = min(margin, 0.3 * length)
+    inside = within & (below_top > margin) & (below_top < length - margin)
+    return fit_all_points(scene, plane, support, band, 0.0, inside)
 
 
 def _groove_axis(top: Plane, left: SurfaceFit, right: SurfaceFit) -> Float[np.ndarray, "3"]:

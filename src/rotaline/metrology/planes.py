@@ -23,6 +23,8 @@ from rotaline.scanning.thinning import SearchCloud
 MAX_PLANES = 12
 PARALLEL_RAD = np.deg2rad(4.0)
 MAX_NORMAL_RAD = np.deg2rad(20.0)
+LEVEL_RAD = np.deg2rad(30.0)
+"""Planes whose normals are nearer to z than this face up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,7 @@ def plane_band(scene: Scene) -> float:
 def segment_planes(scene: Scene) -> tuple[PlanePatch, ...]:
     """The planes of the part, largest first; the table is not among them."""
     cloud, band, rng = scene.part, plane_band(scene), scene.rng()
-    n_min = max(25, len(cloud.points) // 60)
+    n_min = max(25, len(cloud.points) // 150)
     patches = []
     for _ in range(MAX_PLANES):
         if len(cloud.points) < n_min:
@@ -69,8 +71,10 @@ def segment_planes(scene: Scene) -> tuple[PlanePatch, ...]:
         on = facing & (np.abs(settled.signed_distance_to(cloud.points)) <= 1.5 * band)
         if np.count_nonzero(on) < n_min:
             break
-        if not only_touches(settled, max(sigma, 0.1 * band), scene.part):
-            patches.append(PlanePatch(_face_outward(scene, settled, cloud.points[on]), cloud.select(on)))
+        patch = PlanePatch(_face_outward(scene, settled, cloud.points[on]), cloud.select(on))
+        # A single stripe lies on many planes.
+        if patch.width > 2 * cloud.spacing and not only_touches(settled, max(sigma, 0.1 * band), scene.part):
+            patches.append(patch)
         cloud = cloud.select(~on)
     return tuple(sorted(patches, key=lambda patch: -len(patch.support.points)))
 
@@ -142,7 +146,8 @@ def measure_plane(scene: Scene, nominal: dict[str, float] | None) -> FeatureMeas
 def measure_step(scene: Scene, nominal: dict[str, float] | None) -> FeatureMeasurement:
     """Height between two parallel planes that face the same side.
 
-    The two largest levels of the part count; if it has only one, its height above the table top.
+    The two largest levels of the part count; if it has only one, its height above the table top. Levels that face sideways
+    count only where none face up: name a region without these to measure them.
 
     Raises
     ------
@@ -266,8 +271,9 @@ def _choose_levels(scene: Scene, nominal: dict[str, float] | None) -> tuple[Plan
     if nominal is not None and "height" in nominal:
         upper, lower, _ = min(pairs, key=lambda pair: abs(pair[2] - nominal["height"]))
     else:
-        on_part = [pair for pair in pairs if not pair[1].is_table]
-        upper, lower, _ = max(on_part or pairs, key=lambda pair: min(pair[0].area, pair[1].area))
+        level = [pair for pair in pairs if pair[0].plane.normal[2] > np.cos(LEVEL_RAD)]
+        on_part = [pair for pair in level if not pair[1].is_table]
+        upper, lower, _ = max(on_part or level or pairs, key=lambda pair: min(pair[0].area, pair[1].area))
     n_levels = 1 + sum(1 for patch in patches if patch is not upper and are_parallel(upper, patch))
     return upper, lower, n_levels
 

@@ -13,6 +13,9 @@ from rotaline.scanning.thinning import SearchCloud
 MAX_NORMAL_RAD = np.deg2rad(30.0)
 """Largest angle between the normal of a thinned point and that of the surface it counts for."""
 
+MAX_RMS = 0.03
+"""Largest rms, as a fraction of the diameter, unless the whole scan is as rough."""
+
 TOUCH_RATIO = 1.25
 TOUCH_RAD = np.deg2rad(3.0)
 
@@ -33,6 +36,8 @@ def what_it_is_rather(scene: Scene, found: SurfaceFit) -> str:
     for name, rival in rivals.items():
         if rival <= limits[name] * rms:
             return said + f"but a {name} fits them with {rival:.3g} mm."
+    if rms > max(MAX_RMS * 2 * found.surface.radius, 3.0 * scene.part.roughness):
+        return said + "too much for its size."
     if only_touches(found.surface, found.rms, scene.part):
         return said + "but the surface beside them leaves it smoothly: it only touches the part."
     return ""

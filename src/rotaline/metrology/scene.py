@@ -1,12 +1,17 @@
 """A cloud made ready for the search: cropped, thinned evenly, with local normals, the table top found and set aside.
 
 The search works on the thinned points, where areas count; the final fits come back to all points.
+
+References
+----------
+.. [1] Breunig, Kriegel, Ng and Sander, LOF: identifying density-based local outliers, SIGMOD 2000
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from rotaline.errors import GeometryError, MeasurementError
 from rotaline.geometry.fitting import fit_plane_orthogonal
@@ -18,6 +23,13 @@ from rotaline.scanning.thinning import SearchCloud, extent_of, thin
 
 MAX_RAW = 300_000
 """Points beyond this number do not take part in the search."""
+
+FOG = 0.25
+"""Thickness of a thinned cloud from which on it is no surface."""
+
+STRAY = 2.5
+FAR_STRAY = 12.0
+"""A point is a stray if its neighbours are this many times farther than theirs, or than is usual in the cloud."""
 
 TABLE_TILT_RAD = np.deg2rad(10.0)
 
@@ -80,6 +92,7 @@ def build_scene(
     inside = points[indices]
     rng = np.random.default_rng(options.seed)
     raw = inside if len(inside) <= MAX_RAW else inside[rng.choice(len(inside), MAX_RAW, replace=False)]
+    raw = raw[_in_company(raw)]
     whole = thin(raw, options.n_search)
     table, on_table = _find_table(whole, rng)
     eyes = None if viewpoints is None else viewpoints[indices]
@@ -90,10 +103,11 @@ def build_scene(
         scale = mad_scale(table.signed_distance_to(whole.points[on_table]))
         above = distance > max(6.0 * scale, 1e-3 * extent_of(whole.points))
         table_cloud = whole.select(on_table)
-        if np.count_nonzero(above) >= options.min_points:
-            part = thin(raw[above], options.n_search)
+        standing = thin(raw[above], options.n_search) if np.count_nonzero(above) >= options.min_points else None
+        if standing is not None and standing.thickness < FOG:
+            part = standing
         else:
-            # Nothing stands on it: then it is the part.
+            # Nothing stands on it, or only strays float above: then it is the part.
             part, table, table_cloud = whole, None, whole.select(np.zeros(len(whole.points), dtype=bool))
     gap = min(float(np.median(np.linalg.norm(np.diff(inside, axis=0), axis=1))), part.spacing)
     return Scene(inside, eyes, indices, part, table, table_cloud, extent_of(part.points), gap, options)
@@ -111,9 +125,17 @@ def describe_region(region: Region) -> str:
     return ", ".join(said) if said else "no limits"
 
 
-def _reach(points: np.ndarray) -> float:
-    """Distance from the z axis that nearly all points keep within, mm."""
-    return float(np.quantile(np.hypot(points[:, 0], points[:, 1]), 0.98)) if len(points) else 0.0
+def _reach(points: np.ndarray, middle: np.ndarray, share: float = 0.98) -> float:
+    """Distance from a vertical line that a share of the points keeps within, mm."""
+    return float(np.quantile(np.hypot(*(points - middle)[:, :2].T), share)) if len(points) else 0.0
+
+
+def _in_company(points: np.ndarray) -> np.ndarray:
+    """Which points have neighbours as near as their neighbours have: all but strays (local outlier factor [1]_)."""
+    far, near = cKDTree(points).query(points, k=min(9, len(points)))
+    reach = far[:, -1]
+    usual = np.median(reach[near[:, 1:]], axis=1)
+    return (reach <= STRAY * usual) & (reach <= FAR_STRAY * float(np.median(reach)))
 
 
 def _inside(points: np.ndarray, region: Region) -> np.ndarray:
@@ -155,9 +177,9 @@ def _find_table(cloud: SearchCloud, rng: np.random.Generator) -> tuple[Plane | N
         enough = np.count_nonzero(inliers) >= max(20, 0.05 * len(cloud.points))
         if not enough or plane.normal[2] < np.cos(TABLE_TILT_RAD) or below > 0.3 * len(cloud.points):
             continue
-        # A scan puts z = 0 on the table; then the rim of the table and the bench may show below it.
-        at_zero = abs(plane.offset) < max(threshold, 0.5) and _reach(cloud.points[chosen[inliers]]) > _reach(above)
-        if at_zero:
+        # A scan puts z = 0 on the table; then its rim may show below it. It reaches farther than what stands on it.
+        at_zero = abs(plane.offset) < max(threshold, 0.5)
+        if at_zero and _reach(cloud.points[chosen[inliers]], fit.centroid) > _reach(above, fit.centroid, 0.9):
             return plane, (np.abs(height) < threshold) & level
         middle = float(fit.centroid[2])
         if below < 0.05 * len(cloud.points) and (best is None or middle < best[0]):

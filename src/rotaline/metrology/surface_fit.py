@@ -23,7 +23,7 @@ from rotaline.geometry.fitting import (
 from rotaline.geometry.primitives import Cylinder, Plane, Sphere
 from rotaline.geometry.robust import cauchy_weights
 from rotaline.metrology.scene import Scene
-from rotaline.scanning.thinning import SearchCloud, cell_keys
+from rotaline.scanning.thinning import SearchCloud, cell_keys, sum_around
 
 Surface = Plane | Sphere | Cylinder
 
@@ -211,18 +211,10 @@ def _near_foreign(points: np.ndarray, own: np.ndarray, foreign: np.ndarray, marg
     keys = cell_keys(points, points[own].min(axis=0), margin / 1.5)
     own_cells, place, own_counts = np.unique(keys[own], return_inverse=True, return_counts=True)
     foreign_cells, foreign_counts = np.unique(keys[foreign], return_counts=True)
-    ours, theirs = np.zeros(len(own_cells)), np.zeros(len(own_cells))
-    steps = np.array([-1, 0, 1], dtype=np.int64)
-    for shift in (steps[:, None, None] + (steps[:, None] << 20) + (steps << 40)).ravel():
-        ours += _count_at(own_cells + shift, own_cells, own_counts)
-        theirs += _count_at(own_cells + shift, foreign_cells, foreign_counts)
+    ours = sum_around(own_cells, own_cells, own_counts)
+    theirs = sum_around(own_cells, foreign_cells, foreign_counts)
     near[np.flatnonzero(own)] = (theirs > FOREIGN_SHARE * ours)[place]
     return near
-
-
-def _count_at(cells: np.ndarray, known: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    at = np.minimum(np.searchsorted(known, cells), len(known) - 1)
-    return np.where(known[at] == cells, counts[at], 0)
 
 
 def _enough(n: int, n_needed: int) -> None:

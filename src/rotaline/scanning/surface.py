@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from rotaline.errors import GeometryError
 from rotaline.scanning.cloud import PointCloud
-from rotaline.scanning.thinning import cell_means, extent_of, local_axes, thin_indices
+from rotaline.scanning.thinning import cell_means, extent_of, local_planes, thin_indices
 
 MIN_POINTS = 100
 DEPTHS = (5, 9)
@@ -29,9 +29,6 @@ DEPTHS = (5, 9)
 
 MAX_ASIDE = 0.75
 """Vertices farther than this from the local plane of the nearest point, in point spacings, bend away where nothing was seen."""
-
-MIN_SPREAD = 0.1
-"""Least ratio of the two larger variances of a neighbourhood that determines a plane."""
 
 
 @dataclass(frozen=True)
@@ -123,24 +120,7 @@ def oriented_normals(
     points: Float[np.ndarray, "n 3"], viewpoints: Float[np.ndarray, "n 3"], neighbours: int
 ) -> tuple[Float[np.ndarray, "n 3"], np.ndarray]:
     """Unit normals of local planes, turned towards the viewpoints, and a mask of strays without company (n,)."""
-    normals, reach = np.empty_like(points), np.empty(len(points))
-    tree = cKDTree(points)
-    waiting = np.arange(len(points))
-    # Far from the axis stripes lie apart: then only a larger neighbourhood holds more than one, and spreads in two directions.
-    for k in (neighbours, 3 * neighbours, 8 * neighbours):
-        k = min(k, len(points))
-        narrow = []
-        for at in range(0, len(waiting), 20_000):
-            part = waiting[at : at + 20_000]
-            far, near = tree.query(points[part], k=k)
-            variances, axes = local_axes(points[near])
-            normals[part] = axes[:, :, 0]
-            if k == min(neighbours, len(points)):
-                reach[part] = far[:, 1 : 1 + k // 2].mean(axis=1)
-            narrow.append(part[variances[:, 1] < MIN_SPREAD * variances[:, 2]])
-        waiting = np.concatenate(narrow)
-        if len(waiting) == 0 or k == len(points):
-            break
+    normals, _, reach = local_planes(points, neighbours)
     towards = np.einsum("ij,ij->i", normals, viewpoints - points)
     normals[towards < 0] *= -1.0
     return normals, reach > 4.0 * float(np.median(reach))

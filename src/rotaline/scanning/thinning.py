@@ -8,10 +8,24 @@ planes mean something.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from scipy.spatial import cKDTree
 
 NEIGHBOURS = 14
+FEWEST = 150
+"""Points that thinning leaves at least, if there are as many."""
+
+MIN_SPREAD = 0.3
+MAX_THICKNESS = 0.1
+"""Ratios of the variances of neighbourhoods: middle to largest, smallest to middle."""
+
+GROWTH = (1, 3, 8, 20)
+LINE_LIKE = 0.15
+"""A neighbourhood whose middle variance is smaller than this part of the largest is a line: it grows by these factors."""
+
+THIN_CELL = 0.2
+"""Cells with a smaller part of the mean number of points around them are left out."""
+
 PROBES = 2000
 """Points whose neighbourhoods are looked at to judge a cell size."""
 
@@ -21,12 +35,14 @@ class SearchCloud:
     """Evenly thinned points with unit normals (of either sign); ``spacing`` is the cell size, mm.
 
     ``roughness`` is the typical distance of points from the local plane, mm: noise, and the bend of the surface within a cell.
+    ``thickness`` is the usual ratio of the two smaller variances of a neighbourhood: near 0 on a surface, near 0.5 in a fog.
     """
 
     points: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
     spacing: float
     roughness: float
+    thickness: float
 
     def select(self, keep: Bool[np.ndarray, " n"]) -> "SearchCloud":
         """The points for which ``keep`` is true."""
@@ -46,30 +62,60 @@ def thin(points: Float[np.ndarray, "n 3"], n_target: int, finest: float = 1 / 40
     """
     kept, cell = thin_indices(points, n_target, finest)
     thinned = points[kept]
-    k = min(NEIGHBOURS, len(thinned))
-    far, near = cKDTree(thinned).query(thinned, k=k)
-    values, vectors = local_axes(thinned[near])
-    mean_gap = far[:, 1 : max(2, k // 2)].mean(axis=1)
-    company = mean_gap <= 3.0 * float(np.median(mean_gap))
-    roughness = float(np.sqrt(np.quantile(values[company, 0], 0.3)))
-    return SearchCloud(thinned[company], vectors[company, :, 0], cell, roughness)
+    normals, variances, reach = local_planes(thinned, NEIGHBOURS)
+    company = reach <= 3.0 * float(np.median(reach))
+    roughness = float(np.sqrt(np.quantile(variances[company, 0], 0.3)))
+    thickness = float(np.median(variances[company, 0] / np.maximum(variances[company, 1], 1e-300)))
+    return SearchCloud(thinned[company], normals[company], cell, roughness, thickness)
+
+
+def local_planes(
+    points: Float[np.ndarray, "n 3"], neighbours: int
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Unit normals of local planes (of either sign), the variances of the neighbourhoods, and the mean distance of the nearest.
+
+    With few frames a turn, stripes are so far apart that near neighbours all lie on one, which has no normal. There the
+    neighbourhood grows until it holds more than one stripe and spreads in two directions.
+    """
+    normals, variances, reach = np.empty_like(points), np.empty_like(points), np.empty(len(points))
+    tree = cKDTree(points)
+    waiting = np.arange(len(points))
+    for factor in GROWTH:
+        k = min(factor * neighbours, len(points))
+        narrow = []
+        for at in range(0, len(waiting), 20_000):
+            part = waiting[at : at + 20_000]
+            far, near = tree.query(points[part], k=k)
+            values, axes = local_axes(points[near])
+            normals[part], variances[part] = axes[:, :, 0], values
+            if factor == 1:
+                reach[part] = far[:, 1 : max(2, k // 2)].mean(axis=1)
+            narrow.append(part[values[:, 1] < LINE_LIKE * values[:, 2]])
+        waiting = np.concatenate(narrow)
+        if len(waiting) == 0 or k == len(points):
+            break
+    return normals, variances, reach
 
 
 def thin_indices(points: Float[np.ndarray, "n 3"], n_target: int, finest: float) -> tuple[Int[np.ndarray, " m"], float]:
-    """Indices of the points that ``thin`` keeps (strays included), and the cell size, mm."""
+    """Indices of the points that ``thin`` keeps (lonely strays included), and the cell size, mm."""
     size = extent_of(points)
     cell = size * finest
+    best: tuple[np.ndarray, float] | None = None
     while True:
         kept = _one_per_cell(points, cell)
-        if len(kept) <= n_target or len(kept) < 300:
+        if best is not None and (len(kept) < FEWEST or cell > size / 15.0):
+            return best
+        if len(kept) <= max(n_target, FEWEST):
+            best = kept, cell
             thinned = points[kept]
             probes = thinned[:: max(1, len(thinned) // PROBES)]
             _, near = cKDTree(thinned).query(probes, k=min(NEIGHBOURS, len(thinned)))
             values, _ = local_axes(thinned[near])
             spread = float(np.median(values[:, 1] / np.maximum(values[:, 2], 1e-300)))
-            flat = float(np.median(values[:, 0] / np.maximum(values[:, 1], 1e-300))) < 0.1
-            if (spread > 0.3 and flat) or len(kept) < 600 or cell > size / 15.0:
-                return kept, cell
+            thickness = float(np.median(values[:, 0] / np.maximum(values[:, 1], 1e-300)))
+            if spread > MIN_SPREAD and thickness < MAX_THICKNESS:
+                return best
         cell *= 1.3
 
 
@@ -82,12 +128,30 @@ def cell_means(points: Float[np.ndarray, "n 3"], kept: Int[np.ndarray, " m"], ce
 
 
 def _one_per_cell(points: np.ndarray, cell: float) -> np.ndarray:
-    """Indices of one point in each occupied cell: the middle one in the order of the cloud."""
+    """Indices of one point in each occupied cell, the middle one in the order of the cloud.
+
+    Cells with far fewer points than the occupied ones around them hold strays beside a surface, and are left out.
+    """
     keys = cell_keys(points, points.min(axis=0), cell)
-    _, counts = np.unique(keys, return_counts=True)
+    cells, counts = np.unique(keys, return_counts=True)
+    around, n_around = sum_around(cells, cells, counts), sum_around(cells, cells, np.ones(len(cells)))
+    crowded = counts >= THIN_CELL * around / n_around
     order = np.argsort(keys, kind="stable")
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    return np.sort(order[starts + counts // 2])
+    return np.sort(order[(starts + counts // 2)[crowded]])
+
+
+def sum_around(
+    cells: Int[np.ndarray, " m"], known: Int[np.ndarray, " k"], values: Shaped[np.ndarray, " k"]
+) -> Float[np.ndarray, " m"]:
+    """Sum of the values of the known cells (sorted keys) over the 27 cells in and around each cell."""
+    total = np.zeros(len(cells))
+    steps = np.array([-1, 0, 1], dtype=np.int64)
+    for shift in (steps[:, None, None] + (steps[:, None] << 20) + (steps << 40)).ravel():
+        wanted = cells + shift
+        at = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
+        total += np.where(known[at] == wanted, values[at], 0)
+    return total
 
 
 def cell_keys(points: Float[np.ndarray, "n 3"], origin: Float[np.ndarray, "3"], cell: float) -> Int[np.ndarray, " n"]:
