@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.metrology.features import measure_feature
+from rotaline.pipeline.summary import machine, versions
 from rotaline.simulation.clouds import Ball, ScanPlan, Solid, grooved_block, scan_solids, table_top, upright_cylinder
 
 TURNED = RigidTransform.from_components([2.0, -3.0, 0.0], Rotation.from_euler("z", 20, degrees=True))
@@ -45,6 +46,7 @@ def main() -> None:
                 error, u = 1e3 * (found.value[key] - value), 1e3 * found.uncertainty[key]
                 n = len(cloud.points_table)
                 print(f"{name:20} {feature:17} {key:15} {error:9.2f} {u:7.2f} {n:8d} {seconds:6.2f}")
+    print(", ".join([machine(), *(f"{name} {version}" for name, version in versions().items())]))
 
 
 if __name__ == "__main__":
