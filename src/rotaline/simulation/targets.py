@@ -86,7 +86,7 @@ class _Cells:
         distance: Float[np.ndarray, " m"], width: Float[np.ndarray, " m"], blur: Float[np.ndarray, " m"] | None
     ) -> Float[np.ndarray, " m"]:
         if blur is None:
-            return np.clip(distance / width + 0.5, 0.0, 1.0)
+            return np.clip(distance / np.maximum(width, 1e-12) + 0.5, 0.0, 1.0)
         return np.asarray(ndtr(distance / np.sqrt(blur**2 + width**2 / 12)))
 
 
@@ -138,7 +138,11 @@ def _dots_dark(target: DotGrid, cells: _Cells) -> Float[np.ndarray, " m"]:
     from_centre = cells.xy - np.clip(np.round(cells.xy), 0, np.array(target.dots) - 1)
     radius = np.linalg.norm(from_centre, axis=1)
     direction = from_centre / np.maximum(radius, 1e-12)[:, None]
-    return cells.beyond_along((target.diameter or 0.5 * target.pitch) / 2 / target.pitch - radius, direction)
+    edge = (target.diameter or 0.5 * target.pitch) / 2 / target.pitch
+    inside = edge - radius
+    if cells.blur is not None:  # blur along a curved edge draws it in, so that the disc keeps its light
+        inside = inside - np.sum((direction[:, ::-1] * cells.blur) ** 2, axis=1) / (2 * edge)
+    return cells.beyond_along(inside, direction)
 
 
 def _edge_distance(

@@ -212,7 +212,7 @@ def _fill(candidates: Candidates, lattice: Lattice, tree: cKDTree) -> Lattice | 
             return None
         cells, ids = cells[kept], ids[kept]
         assigned = {(int(c[0]), int(c[1])): int(i) for c, i in zip(cells, ids, strict=True)}
-        low, high = cells.min(axis=0) - 1, cells.max(axis=0) + 1
+        low, high = cells.min(axis=0) - 3, cells.max(axis=0) + 3
         if np.prod(high - low + 1) > 20000:
             break
         grid = np.stack(np.meshgrid(*[np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]), axis=-1)
@@ -272,10 +272,10 @@ def _surrounded(cells: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
 
 
 def _beside(free: Int[np.ndarray, "m 2"], cells: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, " m"]:
-    """Free cells with an assigned one within two steps."""
+    """Free cells with an assigned one within three steps."""
     if not len(free):
         return np.zeros(0, dtype=bool)
-    return np.asarray(cKDTree(cells).query(free, p=np.inf)[0] <= 2)
+    return np.asarray(cKDTree(cells).query(free, p=np.inf)[0] <= 3)
 
 
 def _median_step(cells: Int[np.ndarray, "n 2"], uv: Float[np.ndarray, "n 2"]) -> float:
