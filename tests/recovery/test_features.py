@@ -78,7 +78,7 @@ def test_small_and_large_parts(scale: float) -> None:
 
 @pytest.mark.parametrize("feature", ["cylinder", "groove"])
 def test_repeats_scatter_as_predicted(feature: str) -> None:
-    n_repeats = 24
+    n_repeats = 16
     plan = ScanPlan(step_deg=6.0, n_rays=250, noise_mm=0.0, blur_rays=1, stray_fraction=0.0)
     cloud = scan(feature, plan)
     rays = cloud.points_table - cloud.viewpoints_table

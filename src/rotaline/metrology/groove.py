@@ -1,7 +1,7 @@
 """A groove in a block: depth and widths.
 
 The top is a plane that lies on both sides of a lower, parallel plane, the bottom. The depth is the mean distance of the
-bottom's points from the plane fitted to the top (Li et al. 2026, section 5.6). The flanks between them, where they were
+bottom's points from the plane fitted to the top (Li et al. 2026, section 6.2). The flanks between them, where they were
 seen, give the widths: the distances of the lines in which they meet the top and the bottom, in the middle of the length.
 """
 

@@ -30,7 +30,7 @@ def what_it_is_rather(scene: Scene, found: SurfaceFit) -> str:
     if isinstance(found.surface, Sphere):
         rivals["cylinder"] = _best_cylinder_rms(found.surface, some[:: max(1, len(some) // 400)])
     else:
-        rivals["sphere"] = _sphere_rms(some)
+        rivals["sphere"] = _sphere_rms(some[:: max(1, len(some) // 400)])
     limits = {"plane": 1.5, "cylinder": 0.8, "sphere": 0.7}
     said = f"A candidate of {2 * found.surface.radius:.4g} mm diameter has {len(points)} points with an rms of {rms:.3g} mm, "
     for name, rival in rivals.items():

@@ -1,6 +1,6 @@
 """Spheres and cylinders in a cloud.
 
-RANSAC on the thinned cloud with normals, then orthogonal least squares on all points (Li et al. 2026, section 5.6). A
+RANSAC on the thinned cloud with normals, then orthogonal least squares on all points (Li et al. 2026, section 6.2). A
 candidate counts only if its points fit it clearly better than the simpler surfaces that it could be mistaken for.
 """
 

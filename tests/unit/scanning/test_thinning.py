@@ -37,7 +37,7 @@ def test_strays_are_left_out() -> None:
     assert thin(points, 8000).points[:, 2].max() < 1.0
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=10)
 @given(n_target=st.integers(400, 5000), seed=st.integers(0, 50))
 def test_no_more_points_than_asked_for_one_a_cell(n_target: int, seed: int) -> None:
     points = np.random.default_rng(seed).uniform(0, 30, (6000, 3))
