@@ -152,7 +152,7 @@ def _measure(
 ) -> tuple[Centres, Int[np.ndarray, " m"], Float[np.ndarray, " m"] | None]:
     """Refine all points of the grid that lie in the image: centres, their numbers, dots: radius of each, mm.
 
-    The ``first`` time corners are looked for in windows that catch them from farther away.
+    The ``first`` time corners are looked for in short, wide windows that catch them from farther away.
     """
     xy = target.points_board()[:, :2]
     start = grid_map.apply(xy)
@@ -184,7 +184,7 @@ def _refine(
             symmetric = (target.pitch - target.marker) / 2 + 0.1 * target.marker
             reach = symmetric if first else reach
             edge_reach = min(edge_reach, symmetric * float(np.median(px_per_mm)))
-        reaches = np.minimum(reach, _CORNER_REACH_PX / px_per_mm)
+        reaches = np.minimum(reach, _CORNER_REACH_PX / (2 if first else 1) / px_per_mm)
         half, bent = jacobian * reaches[:, None, None], bend * (reaches**2)[:, None, None, None]
         centres = refine_centres(image, start, half, bent, "corner", edge_reach_px=edge_reach, max_steps=max_steps)
         return centres, None

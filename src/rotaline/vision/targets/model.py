@@ -121,7 +121,7 @@ def target_height(target: Target, xy_board: Float[np.ndarray, "k 2"]) -> Float[n
 
 @dataclass(frozen=True, eq=False)
 class TargetDetection:
-    """Points of a target found in one image; the whole grid, or (ChArUco) a part of it.
+    """Points of a target found in one image: the whole grid, or the part of it that can be measured.
 
     Attributes
     ----------
