@@ -33,7 +33,7 @@ MIN_FRAMES = 6
 
 SENSE_ASSUMED = (
     "The sense of rotation of the turntable was assumed: without a target on the turntable nothing shows it, and if it is wrong, "
-    "scans come out as mirror images. Add an axis capture, or set assumed_turn_sense."
+    "scans come out as mirror images. Add an axis capture, or set artifact.assumed_turn_sense."
 )
 """Warning that belongs to :func:`find_axis_from_artifact`."""
 
