@@ -31,7 +31,7 @@ from rotaline.metrology.surface_fit import (
 )
 from rotaline.scanning.thinning import SearchCloud
 
-MAX_CANDIDATES = 3
+MAX_CANDIDATES = 6
 NOMINAL_RANGE = (0.7, 1.4)
 """Sizes around the nominal one that are tried first."""
 
@@ -178,7 +178,9 @@ def _settled_cylinder(
         settled, _ = settle(cylinder, cloud.points[on], 2 * band)
         assert isinstance(settled, Cylinder)
         again = agrees(settled, cloud, band)
-        if np.count_nonzero(again) < np.count_nonzero(on):
+        # A fit to points of a plane runs off to any radius.
+        ran_off = not 0.8 * radius_range[0] <= settled.radius <= 1.25 * radius_range[1]
+        if ran_off or np.count_nonzero(again) < np.count_nonzero(on):
             break
         cylinder, on = settled, again
     return cylinder, on

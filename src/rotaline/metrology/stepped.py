@@ -11,7 +11,7 @@ from rotaline.geometry.primitives import Cylinder, Line, Plane
 from rotaline.metrology.model import FeatureMeasurement
 from rotaline.metrology.planes import fit_parallel
 from rotaline.metrology.plausibility import describe_scene, edge_margin, search_band, what_it_is_rather
-from rotaline.metrology.rounds import cylinder_measurement, fit_cylinder_side, search_cylinder
+from rotaline.metrology.rounds import MAX_CANDIDATES, cylinder_measurement, fit_cylinder_side, search_cylinder
 from rotaline.metrology.scene import Scene
 from rotaline.metrology.surface_fit import SurfaceFit, fit_all_points, form_error
 from rotaline.scanning.thinning import SearchCloud
@@ -122,15 +122,18 @@ def _find_side(
     direction = None if coaxial is None else coaxial.axis.direction
     if direction is not None:
         cloud = cloud.select(np.abs(cloud.normals @ direction) < np.sin(LEVEL_RAD))
-    for _ in range(3):
+    for _ in range(MAX_CANDIDATES):
         try:
             start, on = search_cylinder(scene, cloud, (radius_range[0], radius_range[1]), direction)
-            if coaxial is None or _offset(coaxial, start) < 0.1 * max(coaxial.radius, start.radius):
-                side = fit_cylinder_side(scene, start, cloud.select(on), search_band(scene))
-                if not what_it_is_rather(scene, side):
-                    return side, cloud.select(~on)
-        except (GeometryError, MeasurementError):
+        except GeometryError:
             return None
+        if coaxial is None or _offset(coaxial, start) < 0.1 * max(coaxial.radius, start.radius):
+            try:
+                side = fit_cylinder_side(scene, start, cloud.select(on), search_band(scene))
+            except (GeometryError, MeasurementError):
+                side = None
+            if side is not None and not what_it_is_rather(scene, side):
+                return side, cloud.select(~on)
         cloud = cloud.select(~on)
     return None
 

@@ -152,9 +152,7 @@ def scan_solids(solids: Sequence[Solid], plan: ScanPlan, rng: np.random.Generato
         turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
         eye = turn @ camera
         hits, seen = _sweep(solids, turn @ laser, rays_base @ turn.T, eye)
-        kernel = np.ones(plan.blur_rays) / plan.blur_rays
-        hits = np.column_stack([np.convolve(column, kernel, mode="same") for column in hits.T])
-        points = hits[seen]
+        points = _blur(hits, plan.blur_rays, rng)[seen]
         points = points[plan.blur_rays : len(points) - plan.blur_rays]
         rays = points - eye
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -164,6 +162,22 @@ def scan_solids(solids: Sequence[Solid], plan: ScanPlan, rng: np.random.Generato
     stray = rng.random(len(cloud)) < plan.stray_fraction
     cloud[stray] += rng.normal(0.0, 3.0, (int(stray.sum()), 3))
     return ScannedPoints(cloud, viewpoints)
+
+
+def _blur(hits: np.ndarray, n_rays: int, rng: np.random.Generator) -> np.ndarray:
+    """Round the edges by a running mean; beside a jump, put points anywhere between the near and the far surface."""
+    if n_rays == 1:
+        return hits
+    kernel = np.ones(n_rays) / n_rays
+    smooth = np.column_stack([np.convolve(column, kernel, mode="same") for column in hits.T])
+    gap = np.linalg.norm(np.diff(hits, axis=0), axis=1)
+    usual = np.median(gap[np.isfinite(gap)]) if np.isfinite(gap).any() else 0.0
+    jump = np.append(np.nan_to_num(gap) > 5.0 * usual, False)
+    beside = np.convolve(jump, np.ones(2 * (n_rays // 2) + 1), mode="same") > 0
+    smooth[beside] = hits[beside]
+    at = np.flatnonzero(jump)
+    smooth[at] += rng.random(len(at))[:, None] * (hits[at + 1] - hits[at])
+    return smooth
 
 
 def _sweep(
