@@ -20,6 +20,8 @@ from rotaline.scanning.cloud import PointCloud
 from rotaline.scanning.table import find_table_height
 from rotaline.scanning.triangulation import scan_cloud
 
+MAX_RELATIVE_ERROR = 0.02
+
 
 def make_cloud(stripes: CaptureStripes, system: SystemCalibration, options: ScanOptions) -> PointCloud:
     """The cloud of a capture in the table frame."""
@@ -107,6 +109,24 @@ def _entry(
     except (MeasurementError, GeometryError) as error:
         return MeasurementEntry(request.capture, request.feature, name, None, reference, str(error))
     return MeasurementEntry(request.capture, request.feature, name, measurement, reference)
+
+
+def reference_contradiction(entry: MeasurementEntry) -> str:
+    """What to say where a measured size is far from its reference; empty where it is not.
+
+    Noise and a poor axis cost fractions of a per cent. Errors beyond ``MAX_RELATIVE_ERROR`` come from a wrong statement: the
+    pitch of one of the targets, the reference itself, or the sense or scale of the table's angles.
+    """
+    wrong = [k for k, error in entry.error.items() if abs(error) > MAX_RELATIVE_ERROR * abs(entry.reference[k])]
+    if not wrong or entry.measurement is None:
+        return ""
+    figures = ", ".join(
+        f"{k} {entry.measurement.value[k]:.3f} mm, reference {entry.reference[k]:.3f} mm" for k in wrong
+    )
+    return (
+        f"{entry.capture}, {entry.feature}: far from its reference ({figures}). Do not rely on this session before it is "
+        "explained: check the pitch of every target in session.toml, the reference, and the angles of the table."
+    )
 
 
 def measure_points(path: Path, request: MeasurementRequest, options: MeasureOptions) -> MeasurementEntry:

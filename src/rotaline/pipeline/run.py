@@ -27,6 +27,7 @@ from rotaline.pipeline.parts import (
     measure_request,
     measurement_requests,
     place_on_table,
+    reference_contradiction,
     system_at_optical_axis,
 )
 from rotaline.pipeline.quality import quality_figures
@@ -177,6 +178,8 @@ class Run:
             else:
                 for text in entry.measurement.warnings:
                     self._warn("measure", f"{entry.capture}, {entry.feature}: {text}")
+                if text := reference_contradiction(entry):
+                    self._warn("measure", text, serious=True)
         write_json(self._folder / "measurements.json", [e.to_json() for e in final_entries])
         write_json(self._folder / "measurements-initial-axis.json", [e.to_json() for e in initial_entries])
         self._entries, self._initial_entries = final_entries, initial_entries
