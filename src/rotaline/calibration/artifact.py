@@ -296,7 +296,8 @@ def _coarse_pose(model: CircleModel, mount: int, name: str) -> Float[np.ndarray,
             heights.append(model.heights[h])
     if len(centres) < 2 or np.ptp(heights) == 0:
         raise CalibrationError(
-            f"{name}: fewer than two feature circles have a centre, so the cylinder has no pose. Take frames over a full turn."
+            f"{name}: fewer than two feature circles have a centre, so the cylinder has no pose. Take frames over a full turn; "
+            "if they cover one, the stated sizes of the artefact do not fit the stripes: check them, and the pitch of every target."
         )
     middle = np.mean(centres, axis=0)
     direction = np.linalg.svd(np.array(centres) - middle)[2][0]

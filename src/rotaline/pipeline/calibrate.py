@@ -36,6 +36,8 @@ from rotaline.vision.targets.ordering import order_sequence
 
 T = TypeVar("T")
 
+MIN_DISAGREEMENT_MM = 0.3
+
 
 @dataclass(frozen=True, eq=False)
 class CalibrationParts:
@@ -310,6 +312,10 @@ class Calibrator:
                 )
             for text in result.warnings:
                 self._warn("artifact", text)
+            if axis is not None:
+                u_mm = float(np.hypot(axis.u_position_mm, result.u_position_mm))
+                if text := axis_disagreement(axis.axis_camera, result.axis_camera, u_mm):
+                    self._warn("artifact", text)
         return sense, result, key
 
     def stripes(self, capture: Capture) -> tuple[CaptureStripes, str]:
@@ -347,6 +353,17 @@ def _feature_points(
         angles_rad=stripes.angles_rad,
         features_camera=np.array([f.points_camera for f in found]).reshape(-1, 4, 3),
         reasons=tuple(f.reason for f in found),
+    )
+
+
+def axis_disagreement(initial_camera: Line, final_camera: Line, u_mm: float) -> str:
+    """What to say where the artefact moved the axis by far more than both can be off (``u_mm``); empty where it did not."""
+    moved_mm = float(initial_camera.distance_to(final_camera.point[None])[0])
+    if moved_mm < max(MIN_DISAGREEMENT_MM, 10.0 * u_mm):
+        return ""
+    return (
+        f"the artefact puts the axis {moved_mm:.2f} mm from the initial one, but both are known to {u_mm:.2f} mm (k = 1): one of the "
+        "two is wrong. Check the pitch of the target on the table, the sizes of the artefact, and that nothing moved between the captures."
     )
 
 
