@@ -5,6 +5,7 @@ A plan is complete before anything is rendered: the same plan and rig always giv
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -32,11 +33,13 @@ _ATTEMPTS = 2000
 class Shot:
     """One frame: what stands where, and how it is lit.
 
-    ``on_table`` turns with the table, ``held`` stands still (``base`` frame). ``angle_deg`` None: the table plays no part.
+    ``on_table`` turns with the table, ``held`` stands still (``base`` frame). ``angle_deg`` is what the read-out says; None: the
+    table plays no part. ``ambient_e_per_ms`` is the light of the room, see :class:`rotaline.simulation.rig.Light`.
     """
 
     laser: bool
-    ambient_dn: float
+    exposure_ms: float
+    ambient_e_per_ms: float
     angle_deg: float | None = None
     pose: str = ""
     on_table: tuple[Placed, ...] = ()
@@ -91,6 +94,17 @@ def mount(
     tilt = Rotation.from_rotvec(np.radians(tilt_deg) * np.array([-np.sin(towards), np.cos(towards), 0.0]))
     turn = Rotation.from_rotvec([0.0, 0.0, np.radians(turn_deg)])
     return RigidTransform.from_components([x_mm, y_mm, 0.0], tilt * turn)
+
+
+def laser_off(rig: Rig, **what: Any) -> Shot:
+    """A frame in the light of the room."""
+    return Shot(False, rig.light.exposure_off_ms, rig.light.ambient_e_per_ms, **what)
+
+
+def laser_on(rig: Rig, ambient_fraction: float | None = None, **what: Any) -> Shot:
+    """A frame with the laser; ``ambient_fraction`` of the room's light is left, None: as the rig says."""
+    fraction = rig.light.ambient_on_fraction if ambient_fraction is None else ambient_fraction
+    return Shot(True, rig.light.exposure_on_ms, rig.light.ambient_e_per_ms * fraction, **what)
 
 
 def table_disc(rig: Rig) -> Placed:
@@ -151,7 +165,7 @@ def camera_capture(rig: Rig, target: Target, name: str, n_views: int, seed: int,
 
     poses = _poses_that_fit(n_views, draw, lambda pose: _in_view(rig, plate, pose), "target")
     base_from_camera = rig.camera_from_base.inv()
-    shots = tuple(Shot(False, rig.ambient_dn, held=(Placed(plate, base_from_camera * pose),)) for pose in poses)
+    shots = tuple(laser_off(rig, held=(Placed(plate, base_from_camera * pose),)) for pose in poses)
     return CapturePlan(folder, "camera", name, shots)
 
 
@@ -162,16 +176,15 @@ def laser_capture(
     n_poses: int,
     seed: int,
     *,
-    ambient_laser_dn: float | None = None,
+    ambient_fraction: float | None = None,
     folder: str = "laser",
 ) -> CapturePlan:
-    """Poses of a target in the laser sheet, each with the laser off and on; ``ambient_laser_dn`` above 50 keeps it visible."""
+    """Poses of a target in the laser sheet, each with the laser off and on; an ``ambient_fraction`` of 0.3 keeps it visible."""
     rng = np.random.default_rng([seed, 2])
     plate = Plate(target)
     camera_base = np.asarray(rig.camera_from_base.inv().translation)
     along = unit(np.cross(rig.laser.plane_base.normal, [0.0, 0.0, 1.0]))
     across = unit(np.cross(along, rig.laser.plane_base.normal))
-    on = rig.ambient_laser_dn if ambient_laser_dn is None else ambient_laser_dn
 
     def draw(_: int) -> RigidTransform:
         foot = -rig.laser.plane_base.offset * rig.laser.plane_base.normal
@@ -189,9 +202,12 @@ def laser_capture(
 
     poses = _poses_that_fit(n_poses, draw, fits, "target in the laser sheet")
     shots = [
-        Shot(laser, on if laser else rig.ambient_dn, pose=str(i), held=(Placed(plate, pose),))
+        shot
         for i, pose in enumerate(poses)
-        for laser in (False, True)
+        for shot in (
+            laser_off(rig, pose=str(i), held=(Placed(plate, pose),)),
+            laser_on(rig, ambient_fraction, pose=str(i), held=(Placed(plate, pose),)),
+        )
     ]
     return CapturePlan(folder, "laser-plane", name, tuple(shots))
 
@@ -212,9 +228,7 @@ def axis_capture(
     base_from_board = _board_at(centre, _facing(front, np.array([0.0, 0.0, 1.0]), 0.03), plate)
     middle = (min(angles_deg) + max(angles_deg)) / 2
     board = Placed(plate, rig.base_from_table(middle).inv() * base_from_board)
-    shots = tuple(
-        Shot(False, rig.ambient_dn, angle_deg=angle, on_table=(board, table_disc(rig))) for angle in angles_deg
-    )
+    shots = tuple(laser_off(rig, angle_deg=angle, on_table=(board, table_disc(rig))) for angle in angles_deg)
     return CapturePlan(folder, "axis", name, shots)
 
 
@@ -230,7 +244,7 @@ def scan_capture(
 ) -> CapturePlan:
     """A part on the table, laser on, one frame an angle."""
     parts = (Placed(shape, table_from_part), table_disc(rig))
-    shots = tuple(Shot(True, rig.ambient_laser_dn, angle_deg=angle, on_table=parts) for angle in angles_deg)
+    shots = tuple(laser_on(rig, angle_deg=angle, on_table=parts) for angle in angles_deg)
     return CapturePlan(folder, role, target, shots)
 
 
@@ -314,10 +328,10 @@ def small_plan(
         return shuffled_turn(n, seed) if shuffled else full_turn(n)
 
     axis_angles = tuple(5.0 * i for i in range(9))
-    ambient_laser_dn = 0.4 * rig.ambient_dn if plate_visible else None
+    ambient_fraction = 0.4 if plate_visible else None
     makers: dict[str, Callable[[], CapturePlan]] = {
         "camera": lambda: camera_capture(rig, CHECKERBOARD, "checkerboard", 10, seed),
-        "laser": lambda: laser_capture(rig, DOTS, "dots", 5, seed, ambient_laser_dn=ambient_laser_dn),
+        "laser": lambda: laser_capture(rig, DOTS, "dots", 5, seed, ambient_fraction=ambient_fraction),
         "axis": lambda: axis_capture(rig, CHECKERBOARD, "checkerboard", axis_angles),
         "stepped": lambda: _stepped(rig, "stepped", mount(-4.1, 2.9), turn(16)),
     }

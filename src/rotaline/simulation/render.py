@@ -5,8 +5,8 @@ laser sheet, are then split into sub-pixel rays, whose mean is the light that fa
 point if the ray from the laser to it meets nothing before: shadows of the laser and surfaces hidden from the camera come
 out by themselves.
 
-The light of a surface point, in grey values: ambient ``ambient_dn * albedo * (0.55 + 0.45 |cos to the viewer|)``, laser
-``peak_dn * albedo * cos(incidence) * exp(-d^2 / (2 sigma^2))`` with ``d`` the distance of the point from the laser plane.
+The light of a surface point, in electrons a millisecond: ambient ``ambient * albedo * (0.55 + 0.45 |cos to the viewer|)``, laser
+``peak * albedo * cos(incidence) * exp(-d^2 / (2 sigma^2))`` with ``d`` the distance of the point from the laser plane.
 """
 
 from collections.abc import Sequence
@@ -18,11 +18,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
 from scipy.spatial.transform import RigidTransform
 
-from rotaline.simulation.boards import Plate
 from rotaline.simulation.rig import Laser, Rig, Sensor
 from rotaline.simulation.shapes import Shape, dot_rows
 from rotaline.vision.camera import CameraModel
-from rotaline.vision.targets.model import Target
 
 _EDGE_LATTICE, _STRIPE_LATTICE = (34, 21), (21, 13)
 """Sub-pixel rays of a pixel at an edge, and in a laser-on frame, where the profile is smooth; with Fibonacci numbers the
@@ -161,11 +159,9 @@ def _range3x3(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     return np.asarray(cv2.dilate(values, kernel) - cv2.erode(values, kernel), dtype=float)
 
 
-def _to_split(
-    rig: Rig, first: _Hits, shape: tuple[int, int], laser_on: bool, ambient_dn: float
-) -> Bool[np.ndarray, " n"]:
+def _to_split(rig: Rig, first: _Hits, shape: tuple[int, int], laser_on: bool) -> Bool[np.ndarray, " n"]:
     """Pixels that one ray does not describe: edges in ambient light, and the laser sheet."""
-    split = _range3x3(first.ambient.reshape(shape) * ambient_dn) > 0.5
+    split = _range3x3(first.ambient.reshape(shape)) > 0.003
     if laser_on:
         # far away where nothing is seen: the stripe ends there
         d = np.where(np.isnan(first.distance_mm), 1e3, first.distance_mm).reshape(shape)
@@ -176,20 +172,20 @@ def _to_split(
 
 
 def render_irradiance(
-    rig: Rig, parts_base: Sequence[Placed], *, laser_on: bool, ambient_dn: float
+    rig: Rig, parts_base: Sequence[Placed], *, laser_on: bool, ambient_e_per_ms: float
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """What an ideal sensor would see: grey values of the ambient light and of the laser, without noise, blur, black level.
+    """What an ideal sensor would see: electrons a millisecond of the ambient light and of the laser, without noise and blur.
 
     Parameters
     ----------
     rig : Rig
     parts_base : what stands there, in the base frame
     laser_on : False leaves the laser image black
-    ambient_dn : grey value of a white surface that faces the camera
+    ambient_e_per_ms : light of a white surface that faces the camera
 
     Returns
     -------
-    ambient_dn, laser_dn : (h, w)   DN of an 8 bit image, may exceed 255
+    ambient, laser : (h, w)   electrons a millisecond
     """
     camera = rig.camera
     width, height = camera.image_size
@@ -207,7 +203,7 @@ def render_irradiance(
     whole = _Hits(*(np.concatenate([getattr(h, name) for h in first]) for name in ("ambient", "laser", "distance_mm")))
     ambient, laser = whole.ambient, whole.laser
 
-    (split,) = np.nonzero(_to_split(rig, whole, (height, width), laser_on, ambient_dn))
+    (split,) = np.nonzero(_to_split(rig, whole, (height, width), laser_on))
     offsets = subpixel_offsets(*(_STRIPE_LATTICE if laser_on else _EDGE_LATTICE))
     step = max(_CHUNK_RAYS // len(offsets), 1)
     for i in range(0, len(split), step):
@@ -215,7 +211,7 @@ def render_irradiance(
         fine = _cast(rig, posed, origin, directions(_subpixel_xy(camera, xy[pixels], offsets).reshape(-1, 2)), laser_on)
         ambient[pixels] = fine.ambient.reshape(len(pixels), -1).mean(axis=1)
         laser[pixels] = fine.laser.reshape(len(pixels), -1).mean(axis=1)
-    return ambient.reshape(height, width) * ambient_dn, laser.reshape(height, width) * rig.laser.peak_dn
+    return ambient.reshape(height, width) * ambient_e_per_ms, laser.reshape(height, width) * rig.laser.peak_e_per_ms
 
 
 def _blurred(image: Float[np.ndarray, "h w"], sigma_px: float) -> Float[np.ndarray, "h w"]:
@@ -224,33 +220,41 @@ def _blurred(image: Float[np.ndarray, "h w"], sigma_px: float) -> Float[np.ndarr
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE))
 
 
+_SPECKLE_GRAIN_PX = 0.7
+
+
 def _speckle(laser: Laser, shape: tuple[int, int], rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
     """Factor of the laser's light at each pixel: mean 1, standard deviation ``speckle_contrast``, never negative."""
-    grain = rng.standard_normal(shape)
-    if laser.speckle_grain_px > 0:
-        grain = _blurred(grain, laser.speckle_grain_px) * 2.0 * np.sqrt(np.pi) * laser.speckle_grain_px
-    return np.asarray(np.maximum(1.0 + laser.speckle_contrast * grain, 0.0))
+    grain = _blurred(rng.standard_normal(shape), _SPECKLE_GRAIN_PX) * 2.0 * np.sqrt(np.pi) * _SPECKLE_GRAIN_PX
+    return np.asarray(np.maximum(1.0 + (laser.speckle_contrast or 0.0) * grain, 0.0))
 
 
 def expose(
-    signal_dn: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w 3"], sensor: Sensor, rng: np.random.Generator
+    signal_e: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w 3"], sensor: Sensor, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "..."] | UInt16[np.ndarray, "..."]:
-    """Grey values of a sensor on which this light falls: shot noise, read noise, black level, rounding, clipping."""
-    variance = sensor.read_noise_dn**2 + np.maximum(signal_dn, 0.0) / sensor.electrons_per_dn
-    noise = rng.standard_normal(signal_dn.shape, dtype=np.float32) * np.sqrt(variance)
+    """Grey values of a sensor with so many photo-electrons: shot noise, read noise, black level, rounding, clipping."""
+    variance = sensor.read_noise_e**2 + np.maximum(signal_e, 0.0)
+    noise = rng.standard_normal(signal_e.shape, dtype=np.float32) * np.sqrt(variance)
     full = 255 if sensor.bit_depth == 8 else 65535
-    dn = (signal_dn + sensor.black_level_dn + noise) * (full / 255)
+    dn = ((signal_e + noise) / sensor.electrons_per_dn + sensor.black_level_dn) * (full / 255)
     return np.clip(np.round(dn), 0, full).astype(np.uint8 if sensor.bit_depth == 8 else np.uint16)
 
 
 def render_frame(
-    rig: Rig, parts_base: Sequence[Placed], *, laser_on: bool, ambient_dn: float, seed: int | Sequence[int]
+    rig: Rig,
+    parts_base: Sequence[Placed],
+    *,
+    laser_on: bool,
+    ambient_e_per_ms: float,
+    exposure_ms: float,
+    seed: int | Sequence[int],
 ) -> UInt8[np.ndarray, "..."] | UInt16[np.ndarray, "..."]:
     """One image of parts in the base frame.
 
     Parameters
     ----------
-    rig, parts_base, laser_on, ambient_dn : see :func:`render_irradiance`
+    rig, parts_base, laser_on, ambient_e_per_ms : see :func:`render_irradiance`
+    exposure_ms : exposure
     seed : int or several   the same seed gives the same image
 
     Returns
@@ -258,39 +262,11 @@ def render_frame(
     (h, w) or (h, w, 3) red, green, blue; uint8 or uint16
     """
     rng = np.random.default_rng(seed)
-    ambient, laser = render_irradiance(rig, parts_base, laser_on=laser_on, ambient_dn=ambient_dn)
-    signal = _blurred(ambient, rig.sensor.blur_px)
+    ambient, laser = render_irradiance(rig, parts_base, laser_on=laser_on, ambient_e_per_ms=ambient_e_per_ms)
+    signal = _blurred(ambient, rig.optics.blur_px)
     if rig.sensor.colour:
         signal = np.repeat(signal[:, :, None], 3, axis=2)
     if laser_on:
-        light = _blurred(laser, rig.sensor.blur_px) * _speckle(rig.laser, laser.shape, rng)
+        light = _blurred(laser, rig.optics.blur_px) * _speckle(rig.laser, laser.shape, rng)
         signal = signal + (light[:, :, None] * np.array(rig.laser.rgb) if rig.sensor.colour else light)
-    return expose(signal, rig.sensor, rng)
-
-
-def render_stripe_frame(
-    rig: Rig, parts_table: Sequence[Placed], angle_deg: float, seed: int | Sequence[int]
-) -> UInt8[np.ndarray, "..."] | UInt16[np.ndarray, "..."]:
-    """A laser-on image of parts on the turntable at one angle; see :func:`render_frame`."""
-    base_from_table = rig.base_from_table(angle_deg)
-    parts_base = [part.moved(base_from_table) for part in parts_table]
-    return render_frame(rig, parts_base, laser_on=True, ambient_dn=rig.ambient_laser_dn, seed=seed)
-
-
-def render_target_frame(
-    rig: Rig,
-    target: Target,
-    camera_from_board: RigidTransform,
-    *,
-    laser_on: bool,
-    seed: int | Sequence[int],
-    ambient_dn: float | None = None,
-) -> UInt8[np.ndarray, "..."] | UInt16[np.ndarray, "..."]:
-    """An image of a target held before the camera, with the laser off or on; see :func:`render_frame`.
-
-    ``ambient_dn`` None: the rig's own level for laser-off or laser-on frames.
-    """
-    plate = Placed(Plate(target), rig.camera_from_base.inv() * camera_from_board)
-    if ambient_dn is None:
-        ambient_dn = rig.ambient_laser_dn if laser_on else rig.ambient_dn
-    return render_frame(rig, [plate], laser_on=laser_on, ambient_dn=ambient_dn, seed=seed)
+    return expose(signal * exposure_ms, rig.sensor, rng)

@@ -107,7 +107,14 @@ def truth(rig: Rig, plan: SessionPlan) -> dict[str, Any]:
 def _render_shot(rig: Rig, shot: Shot, seed: tuple[int, ...]) -> np.ndarray:
     base_from_table = rig.base_from_table(0.0 if shot.angle_deg is None else shot.angle_deg)
     parts = [*shot.held, *(part.moved(base_from_table) for part in shot.on_table)]
-    return render_frame(rig, parts, laser_on=shot.laser, ambient_dn=shot.ambient_dn, seed=seed)
+    return render_frame(
+        rig,
+        parts,
+        laser_on=shot.laser,
+        ambient_e_per_ms=shot.ambient_e_per_ms,
+        exposure_ms=shot.exposure_ms,
+        seed=seed,
+    )
 
 
 def _write_image(path: Path, image: np.ndarray) -> None:
