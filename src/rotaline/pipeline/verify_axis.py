@@ -12,39 +12,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rotaline.calibration.artifact import ArtifactCapture, ArtifactOptions, optimise_axis
 from rotaline.errors import OutputError
 from rotaline.geometry.primitives import Line, SteppedCylinder, unit
+from rotaline.io.report.reproduction import AxisCase
 from rotaline.simulation.ideal_circles import TABLE_1, ideal_feature_points, ideal_rig, pose_on_table
 
 ARTICLE_ARTIFACT = SteppedCylinder(23.051, 36.006, 22.003, 25.005)
 ARTICLE_MEAN_DISTANCE_MM = 2.278e-7
-
-
-@dataclass(frozen=True, eq=False)
-class AxisCase:
-    """One row of table 1: the disturbed axis before and after optimisation.
-
-    ``axis_error_mm`` is the distance of the optimised axis from the true one, the larger at Pa and Pb (SQP).
-    """
-
-    name: str
-    delta_pa_mm: tuple[float, float, float]
-    delta_pb_mm: tuple[float, float, float]
-    mean_distance_before_mm: float
-    sqp_mean_distance_mm: float
-    sqp_iterations: int
-    sqp_converged: bool
-    sqp_axis_error_mm: float
-    sqp_history_mm: Float[np.ndarray, " k"]
-    least_squares_mean_distance_mm: float
-    least_squares_iterations: int
-    least_squares_axis_error_mm: float
-    least_squares_history_mm: Float[np.ndarray, " j"]
 
 
 @dataclass(frozen=True, eq=False)
