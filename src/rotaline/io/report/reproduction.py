@@ -154,27 +154,27 @@ class MountResult:
     """One mount W1 to W5 with the initial axis of its own checkerboard capture, by the article's method.
 
     ``axis_error_*_mm``: distance of the axis from the true one, the larger at the bottom and at the top of the stepped cylinder.
-    ``default`` is the axis by the default method.
     """
 
     name: str
-    article: ArtifactCalibration
-    default: ArtifactCalibration
+    calibration: ArtifactCalibration
     axis_error_before_mm: float
     axis_error_after_mm: float
-    axis_error_default_mm: float
 
 
 @dataclass(frozen=True, eq=False)
 class MountsSection:
-    """Section 5.5, figure 14: ``mounts[0].article.mounts[0]`` has the feature points of figure 14a, the ``history_mm`` of all are 14b.
+    """Section 5.5, figure 14: ``mounts[0].calibration.mounts[0]`` has the feature points of 14a, the ``history_mm`` of all are 14b.
 
+    ``together`` is the calibration by the default method: all mounts share one axis, ``together_axis_error_mm`` from the true one.
     ``frames``: the stepped cylinder with the stripe's centres, as in figure 13.
     """
 
     table: ComparisonTable
     artifact: SteppedCylinder
     mounts: tuple[MountResult, ...]
+    together: ArtifactCalibration
+    together_axis_error_mm: float
     frames: tuple[FrameOverlay, ...]
 
 
