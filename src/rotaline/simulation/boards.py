@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from rotaline.simulation.material import Material
 from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
 
 WHITE, BLACK, BACK = 0.85, 0.06, 0.3
@@ -48,6 +49,16 @@ class Plate:
         """Middle of the plate, mm, board frame."""
         x0, x1, y0, y1 = self.extent
         return np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
+
+    @property
+    def material(self) -> Material:
+        """The unprinted front."""
+        return Material(WHITE)
+
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """See :class:`rotaline.simulation.shapes.Shape`."""
+        x0, x1, y0, y1 = self.extent
+        return np.array([[x0, y0, 0.0], [x1, y1, 0.0]])
 
     def intersect(
         self, origin: Float[np.ndarray, "3"], directions: Float[np.ndarray, "n 3"]

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.geometry.primitives import SteppedCylinder, unit
 from rotaline.simulation.boards import Plate
+from rotaline.simulation.material import Material
 from rotaline.simulation.render import Placed
 from rotaline.simulation.rig import Rig, build_rig
 from rotaline.simulation.shapes import Ball, GrooveBlock, Rod, Shape, SteppedRod
@@ -109,7 +110,7 @@ def laser_on(rig: Rig, ambient_fraction: float | None = None, **what: Any) -> Sh
 
 def table_disc(rig: Rig) -> Placed:
     """The turntable's dark top, z = 0."""
-    return Placed(Rod(2 * rig.table_radius_mm, 8.0, -8.0, 0.35), RigidTransform.identity())
+    return Placed(Rod(2 * rig.table_radius_mm, 8.0, -8.0, Material(0.35)), RigidTransform.identity())
 
 
 def _in_view(rig: Rig, plate: Plate, camera_from_board: RigidTransform) -> bool:

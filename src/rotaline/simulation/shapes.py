@@ -1,8 +1,8 @@
 """Shapes that a ray can hit, each in its own ``part`` frame: z up, z = 0 is the face that stands on the table, mm.
 
 Every shape answers three questions about rays and points in its frame: where a ray first enters it (``intersect``), which
-way the surface faces there (``normals``), and how much light it sends back (``albedo``). Only the entry of a ray from
-outside counts: nothing here is transparent. A new shape needs these three methods and nothing else.
+way the surface faces there (``normals``), and how much light it sends back (``albedo``, ``material``). Only the entry of a
+ray from outside counts: nothing here is transparent.
 """
 
 from dataclasses import dataclass, field
@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.simulation.material import BRIGHT, MATT, Material
 
 Vectors = Float[np.ndarray, "n 3"]
 Distances = Float[np.ndarray, " n"]
@@ -21,6 +22,15 @@ Faces = Int[np.ndarray, " n"]
 @runtime_checkable
 class Shape(Protocol):
     """What the renderer asks of a shape."""
+
+    @property
+    def material(self) -> Material:
+        """How the surface sends light back; where a print changes that, ``albedo`` knows better."""
+        ...
+
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """Lower and upper corner of a box that holds the whole shape, mm."""
+        ...
 
     def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
         """First entry ``origin + t * direction``: t > 0 (inf where the ray misses) and the number of the face entered."""
@@ -54,7 +64,12 @@ class Ball:
     """A sphere that stands on z = 0."""
 
     diameter: float
-    reflectance: float = 0.9
+    material: Material = BRIGHT
+
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """See :class:`Shape`."""
+        r = self.diameter / 2
+        return np.array([[-r, -r, 0.0], [r, r, self.diameter]])
 
     def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
         """See :class:`Shape`; one face."""
@@ -74,7 +89,7 @@ class Ball:
 
     def albedo(self, points: Vectors, faces: Faces) -> Distances:
         """See :class:`Shape`."""
-        return np.full(len(points), self.reflectance)
+        return np.full(len(points), self.material.albedo)
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
@@ -88,7 +103,12 @@ class Rod:
     diameter: float
     height: float
     z_bottom: float = 0.0
-    reflectance: float = 0.8
+    material: Material = MATT
+
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """See :class:`Shape`."""
+        r = self.diameter / 2
+        return np.array([[-r, -r, self.z_bottom], [r, r, self.z_bottom + self.height]])
 
     def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
         """See :class:`Shape`."""
@@ -118,7 +138,7 @@ class Rod:
 
     def albedo(self, points: Vectors, faces: Faces) -> Distances:
         """See :class:`Shape`."""
-        return np.full(len(points), self.reflectance)
+        return np.full(len(points), self.material.albedo)
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
@@ -126,7 +146,7 @@ class Rod:
 
 
 def _intersect_union(
-    pieces: tuple[Shape, ...], faces_each: int, origin: Float[np.ndarray, "3"], directions: Vectors
+    pieces: "tuple[Rod | Polyhedron, ...]", faces_each: int, origin: Float[np.ndarray, "3"], directions: Vectors
 ) -> tuple[Distances, Faces]:
     """The nearest entry into any of the pieces; face ``k`` of piece ``i`` has the number ``i * faces_each + k``."""
     t, faces = pieces[0].intersect(origin, directions)
@@ -137,7 +157,7 @@ def _intersect_union(
     return t, faces
 
 
-def _normals_union(pieces: tuple[Shape, ...], faces_each: int, points: Vectors, faces: Faces) -> Vectors:
+def _normals_union(pieces: "tuple[Rod | Polyhedron, ...]", faces_each: int, points: Vectors, faces: Faces) -> Vectors:
     normals = np.zeros_like(points)
     for i, piece in enumerate(pieces):
         here = faces // faces_each == i
@@ -150,12 +170,17 @@ class SteppedRod:
     """The stepped cylinder of the article, as a solid: the small cylinder stands on the large one."""
 
     artifact: SteppedCylinder
-    reflectance: float = 0.8
+    material: Material = MATT
 
     @property
     def _pieces(self) -> tuple[Rod, Rod]:
         a = self.artifact
         return Rod(a.diameter_large, a.height_large), Rod(a.diameter_small, a.height_small, a.height_large)
+
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """See :class:`Shape`."""
+        large, small = (piece.bounds() for piece in self._pieces)
+        return np.stack([np.minimum(large[0], small[0]), np.maximum(large[1], small[1])])
 
     def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
         """See :class:`Shape`."""
@@ -167,7 +192,7 @@ class SteppedRod:
 
     def albedo(self, points: Vectors, faces: Faces) -> Distances:
         """See :class:`Shape`."""
-        return np.full(len(points), self.reflectance)
+        return np.full(len(points), self.material.albedo)
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
@@ -186,7 +211,7 @@ class Polyhedron:
 
     face_normals: Float[np.ndarray, "k 3"]
     face_offsets: Float[np.ndarray, " k"]
-    reflectance: float = 0.8
+    material: Material = MATT
 
     def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
         """See :class:`Shape`."""
@@ -210,7 +235,7 @@ class Polyhedron:
 
     def albedo(self, points: Vectors, faces: Faces) -> Distances:
         """See :class:`Shape`."""
-        return np.full(len(points), self.reflectance)
+        return np.full(len(points), self.material.albedo)
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
@@ -238,7 +263,7 @@ class GrooveBlock:
     groove_depth: float
     groove_width_top: float
     groove_width_bottom: float
-    reflectance: float = 0.8
+    material: Material = MATT
     _pieces: tuple[Polyhedron, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -254,6 +279,10 @@ class GrooveBlock:
         )
         object.__setattr__(self, "_pieces", tuple(_prism(profile, self.length) for profile in profiles))
 
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """See :class:`Shape`."""
+        return np.array([[-self.width / 2, -self.length / 2, 0.0], [self.width / 2, self.length / 2, self.height]])
+
     def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
         """See :class:`Shape`."""
         return _intersect_union(self._pieces, 6, origin, directions)
@@ -264,7 +293,7 @@ class GrooveBlock:
 
     def albedo(self, points: Vectors, faces: Faces) -> Distances:
         """See :class:`Shape`."""
-        return np.full(len(points), self.reflectance)
+        return np.full(len(points), self.material.albedo)
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
