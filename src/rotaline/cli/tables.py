@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
+from rotaline.pipeline.compare_truth import VOLUME_HEIGHT_MM, VOLUME_RADIUS_MM, Comparison
 from rotaline.pipeline.summary import machine, versions
 from rotaline.pipeline.verify_axis import ARTICLE_MEAN_DISTANCE_MM, AxisVerification
 from rotaline.pipeline.verify_stripe import StripeVerificationRow
@@ -87,3 +88,55 @@ def show_stripe_verification(rows: Sequence[StripeVerificationRow]) -> None:
 
 def _number(value: float, digits: int = 4) -> str:
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def show_comparison(comparison: Comparison) -> None:
+    """Errors of a calibration and of measured sizes against the truth of a rendered session."""
+    console = Console(width=120, highlight=False)
+    errors = comparison.calibration
+    table = Table(
+        title="Calibration less truth (plane and axes after the best rotation of the camera frame)",
+        title_justify="left",
+    )
+    table.add_column("quantity")
+    table.add_column("error", justify="right")
+    volume = f"within {VOLUME_RADIUS_MM:g} mm of the axis, up to {VOLUME_HEIGHT_MM:g} mm above the table"
+    rows: tuple[tuple[str, float | None, str], ...] = (
+        ("focal length fx / px", errors.fx_px, "+.3f"),
+        ("focal length fy / px", errors.fy_px, "+.3f"),
+        ("principal point cx / px", errors.cx_px, "+.3f"),
+        ("principal point cy / px", errors.cy_px, "+.3f"),
+        ("viewing rays after the best rotation, RMS / px", errors.rays_px, ".4f"),
+        (f"laser plane, RMS / mm, {volume}", errors.plane_rms_mm, ".5f"),
+        ("laser plane, largest there / mm", errors.plane_max_mm, ".5f"),
+        ("laser plane, angle / µrad", errors.plane_urad, ".1f"),
+        ("rotation axis, initial, at the table / mm", errors.initial_axis_low_mm, ".5f"),
+        (f"rotation axis, initial, {VOLUME_HEIGHT_MM:g} mm above / mm", errors.initial_axis_high_mm, ".5f"),
+        ("rotation axis, initial, angle / µrad", errors.initial_axis_urad, ".1f"),
+        ("rotation axis, at the table / mm", errors.axis_low_mm, ".5f"),
+        (f"rotation axis, {VOLUME_HEIGHT_MM:g} mm above / mm", errors.axis_high_mm, ".5f"),
+        ("rotation axis, angle / µrad", errors.axis_urad, ".1f"),
+    )
+    for name, value, digits in rows:
+        table.add_row(name, "–" if value is None else format(value, digits))
+    sense = {True: "right", False: "wrong", None: "–"}[errors.sense_right]
+    table.add_row("sense of rotation", sense)
+    console.print(table)
+    if comparison.sizes:
+        table = Table(title="Measured sizes less true sizes, mm", title_justify="left")
+        for name, justify in (("capture", "left"), ("quantity", "left")):
+            table.add_column(name, justify=justify)  # type: ignore[arg-type]
+        for name in ("true", "measured", "error", "stated u", "error with the initial axis"):
+            table.add_column(name, justify="right")
+        for size in comparison.sizes:
+            table.add_row(
+                size.capture,
+                size.quantity.replace("_", " "),
+                f"{size.true:.4f}",
+                f"{size.value:.4f}",
+                f"{size.error:+.4f}",
+                "–" if size.uncertainty is None else f"{size.uncertainty:.4f}",
+                "–" if size.initial is None else f"{size.initial - size.true:+.4f}",
+            )
+        console.print(table)
+    show_provenance(console)
