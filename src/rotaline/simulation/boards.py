@@ -13,9 +13,12 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from rotaline.simulation.material import Material
 from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
 
 WHITE, BLACK, BACK = 0.85, 0.06, 0.3
+"""Albedo of the unprinted front, of the print and of the back."""
+
 _MARKER_PX = 16
 """Side of one bit of a ChArUco marker in its bitmap, px."""
 
@@ -35,6 +38,7 @@ class Plate:
     print_offset_um : standard deviation, in x and in y, of the offset of each point of the print
     print_seed : of these offsets
     flatness_um : how far the middle of the plate stands out, towards the viewer, over its corners; negative: it is hollow
+    material : of the unprinted front
     """
 
     target: Target
@@ -43,6 +47,7 @@ class Plate:
     print_offset_um: float = 0.0
     print_seed: int = 1
     flatness_um: float = 0.0
+    material: Material = Material(WHITE)
     _offsets: Float[np.ndarray, "rows columns 2"] = field(init=False, repr=False, compare=False)
     _markers: UInt8[np.ndarray, "..."] | None = field(init=False, repr=False, compare=False)
 
@@ -157,7 +162,7 @@ class Plate:
 
     def albedo(self, points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """See :class:`rotaline.simulation.shapes.Shape`."""
-        return np.where(faces == 0, np.where(self._dark(points[:, 0], points[:, 1]), BLACK, WHITE), BACK)
+        return np.where(faces == 0, np.where(self._dark(points[:, 0], points[:, 1]), BLACK, self.material.albedo), BACK)
 
     def _print_places(self, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> Float[np.ndarray, "2 n"]:
         """Column and row of the print at a place, in pitches from the first point: the inverse of the print's warp."""
