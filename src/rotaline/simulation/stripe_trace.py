@@ -1,0 +1,272 @@
+"""The laser stripe of one frame as geometry: where the sheet meets the parts and the camera sees it. No image is made.
+
+The sheet is made of straight rays that leave the laser (a bowed sheet is a cone of them). Where such a ray first enters a part
+is a lit point of the stripe: it lies on the sheet and on the surface, and nothing stands before it. It is a point of the image if a
+ray from the camera enters at the same place first. So every centre is exact, without any search in the image.
+
+The rays of the fan are first spread evenly, closer than the pixels. Where two neighbours do not belong to the same smooth
+piece of surface, the gap is halved until the edge is known to a hundredth of a pixel. Along each piece, points are then placed at an
+even distance in the image and cast anew.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from rotaline.simulation.render import Placed
+from rotaline.simulation.rig import Laser, Rig
+from rotaline.simulation.shapes import dot_rows
+from rotaline.vision.camera import CameraModel
+
+_HALVINGS = 8
+_COS_CREASE = np.cos(np.radians(20.0))
+_SIN_JUMP = np.sin(np.radians(15.0))
+_STEP_MM = 1e-3
+_SAME_POINT = 1e-6
+"""Part of the distance from the camera within which two hits are the same point."""
+_FULL_SCALE_DN = 255.0
+
+
+@dataclass(frozen=True, eq=False)
+class StripeTrace:
+    """Points of the stripe in one frame, ordered along each piece.
+
+    Attributes
+    ----------
+    points_base : (n, 3)   on the sheet and on a surface, mm
+    uv : (n, 2)   their images, px
+    normal : (n, 2)   unit normal of the stripe in the image
+    width_px : (n,)   standard deviation of the stripe's profile in the image, with the blur of the lens
+    intensity_dn : (n,)   height of the profile, grey values of an 8 bit image
+    saturated : (n,)   the profile's core is clipped
+    segment : (n,)   piece of smooth surface, numbered from 0
+    """
+
+    points_base: Float[np.ndarray, "n 3"]
+    uv: Float[np.ndarray, "n 2"]
+    normal: Float[np.ndarray, "n 2"]
+    width_px: Float[np.ndarray, " n"]
+    intensity_dn: Float[np.ndarray, " n"]
+    saturated: Bool[np.ndarray, " n"]
+    segment: Int[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Where rays of the fan end; ``seen``: lit, in the image, not hidden and bright enough. NaN where nothing is hit."""
+
+    angle_rad: Float[np.ndarray, " n"]
+    points_base: Float[np.ndarray, "n 3"]
+    normals_base: Float[np.ndarray, "n 3"]
+    part: Int[np.ndarray, " n"]
+    uv: Float[np.ndarray, "n 2"]
+    normal: Float[np.ndarray, "n 2"]
+    width_px: Float[np.ndarray, " n"]
+    intensity_dn: Float[np.ndarray, " n"]
+    seen: Bool[np.ndarray, " n"]
+
+    def select(self, keep: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> "_Points":
+        return _Points(*(getattr(self, f.name)[keep] for f in fields(self)))
+
+    def merged(self, other: "_Points") -> "_Points":
+        """Both, in the order of the angle."""
+        both = _Points(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
+        return both.select(np.argsort(both.angle_rad, kind="stable"))
+
+
+def sheet_rays(laser: Laser, angle_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    """Rays that make up the sheet, base frame, at angles from the beam; their length in ``plane_base`` is 1.
+
+    A bowed sheet leaves the plane in proportion to the distance and to the square of the angle (see :class:`Laser`).
+    """
+    normal = laser.plane_base.normal
+    side = np.cross(normal, laser.beam_base)
+    slope = laser.bow_mm / laser.waist_mm * (angle_rad / np.radians(laser.fan_deg / 2)) ** 2
+    return (
+        np.cos(angle_rad)[:, None] * laser.beam_base
+        + np.sin(angle_rad)[:, None] * side
+        + slope[:, None] * np.asarray(normal)
+    )
+
+
+class _Scene:
+    """Parts in the base frame with their poses as plain arrays, seen by a rig."""
+
+    def __init__(self, rig: Rig, parts_base: Sequence[Placed], min_intensity_dn: float) -> None:
+        self.rig = rig
+        self.shapes = [part.shape for part in parts_base]
+        self.rotations = [part.frame_from_part.rotation.as_matrix() for part in parts_base]
+        self.origins = [np.asarray(part.frame_from_part.translation) for part in parts_base]
+        self.eye = np.asarray(rig.camera_from_base.inv().translation)
+        self.camera_rotation = rig.camera_from_base.rotation.as_matrix()
+        self.min_intensity_dn = min_intensity_dn
+
+    def first_hit(
+        self, origin_base: Float[np.ndarray, "3"], directions_base: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+        """Distance in lengths of the ray (inf: nothing is hit), index of the part (-1: nothing) and of its face."""
+        n = len(directions_base)
+        t, index, faces = np.full(n, np.inf), np.full(n, -1), np.zeros(n, int)
+        for i, (shape, rotation, place) in enumerate(zip(self.shapes, self.rotations, self.origins, strict=True)):
+            t_part, faces_part = shape.intersect((origin_base - place) @ rotation, directions_base @ rotation)
+            nearer = t_part < t
+            t = np.where(nearer, t_part, t)
+            index, faces = np.where(nearer, i, index), np.where(nearer, faces_part, faces)
+        return t, index, faces
+
+    def project(self, points_base: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+        """Pixels of points; NaN where the point is behind the camera or so far out that the distortion folds."""
+        points = (points_base - self.eye) @ self.camera_rotation.T
+        uv = self.rig.camera.project(points)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            beyond = np.hypot(points[:, 0], points[:, 1]) > _radius_of_view(self.rig.camera) * points[:, 2]
+        uv[beyond] = np.nan
+        return uv
+
+    def cast(self, angle_rad: Float[np.ndarray, " n"]) -> _Points:
+        """Where rays of the fan end, and how the camera sees it."""
+        laser, n = self.rig.laser, len(angle_rad)
+        rays = sheet_rays(laser, angle_rad)
+        t, part, faces = self.first_hit(laser.position_base, rays)
+        with np.errstate(invalid="ignore"):
+            points = np.where(part[:, None] >= 0, laser.position_base + t[:, None] * rays, np.nan)
+        normals, albedo = np.full((n, 3), np.nan), np.full(n, np.nan)
+        for i, (shape, rotation, place) in enumerate(zip(self.shapes, self.rotations, self.origins, strict=True)):
+            (here,) = np.nonzero(part == i)
+            points_part = (points[here] - place) @ rotation
+            normals[here] = shape.normals(points_part, faces[here]) @ rotation.T
+            albedo[here] = shape.albedo(points_part, faces[here])
+
+        uv = self.project(points)
+        width, height = self.rig.camera.image_size
+        length = np.sqrt(dot_rows(rays, rays))
+        cos_lit = -dot_rows(rays, normals) / length
+        cos_seen = dot_rows(self.eye - points, normals)
+        inside = (uv[:, 0] >= 0) & (uv[:, 0] <= width - 1) & (uv[:, 1] >= 0) & (uv[:, 1] <= height - 1)
+        seen = inside & (cos_lit > 0) & (cos_seen > 0)
+
+        normal, width_px, intensity = np.full((n, 2), np.nan), np.full(n, np.nan), np.zeros(n)
+        normal[seen], width_px[seen], share = self._profile(points[seen], normals[seen], t[seen] * length[seen])
+        intensity[seen] = self._peak_dn(t[seen] * length[seen]) * albedo[seen] * cos_lit[seen] * share
+        seen &= (intensity > 0) & (intensity >= self.min_intensity_dn) & np.isfinite(width_px)
+        view, _, _ = self.first_hit(self.eye, points[seen] - self.eye)
+        seen[seen] = view > 1.0 - _SAME_POINT
+        return _Points(angle_rad, points, normals, part, uv, normal, width_px, intensity, seen)
+
+    def _sheet_sigma_mm(self, distance_mm: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        laser = self.rig.laser
+        return np.hypot(laser.sigma_mm, laser.divergence_mrad * 1e-3 * (distance_mm - laser.waist_mm))
+
+    def _peak_dn(self, distance_mm: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Grey value of a white surface that faces the laser: the light spreads over the fan and over the sheet's width."""
+        rig, laser = self.rig, self.rig.laser
+        spread = laser.sigma_mm * laser.waist_mm / (self._sheet_sigma_mm(distance_mm) * distance_mm)
+        return laser.peak_e_per_ms * rig.light.exposure_on_ms / rig.sensor.electrons_per_dn * spread
+
+    def _profile(
+        self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], distance_mm: Float[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """The stripe's normal and width in the image, and the part of its height that the blur of the lens leaves."""
+        sheet_normal = self.rig.laser.plane_base.normal
+        with np.errstate(invalid="ignore", divide="ignore"):
+            along = np.cross(normals, sheet_normal)
+            along = along / np.sqrt(dot_rows(along, along))[:, None]
+            across = np.cross(along, normals)
+            tangent = self._image_of(points, along)
+            tangent = tangent / np.linalg.norm(tangent, axis=1)[:, None]
+            normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+            px_per_mm = (normal * self._image_of(points, across)).sum(axis=1) / (across @ sheet_normal)
+        sharp_px = np.abs(px_per_mm) * self._sheet_sigma_mm(distance_mm)
+        depth_mm = (points - self.eye) @ self.camera_rotation[2]
+        width_px = np.hypot(sharp_px, self.rig.optics.blur_px_at(depth_mm, self.rig.camera.fx))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return normal, width_px, sharp_px / width_px
+
+    def _image_of(self, points: Float[np.ndarray, "n 3"], motion: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+        """How the images of points move, px/mm."""
+        step = _STEP_MM * motion
+        return (self.project(points + step) - self.project(points - step)) / (2 * _STEP_MM)
+
+
+@lru_cache(maxsize=8)
+def _radius_of_view(camera: CameraModel) -> float:
+    """Largest ideal normalised radius in the image, and a little more."""
+    width, height = camera.image_size
+    u, v = np.linspace(-1.0, width, 50), np.linspace(-1.0, height, 50)
+    border = [(x, y) for x in (-1.0, float(width)) for y in v] + [(x, y) for x in u for y in (-1.0, float(height))]
+    return float(np.nanmax(np.linalg.norm(camera.rays(np.array(border))[:, :2], axis=1)))
+
+
+def _linked(points: _Points) -> Bool[np.ndarray, " m"]:
+    """Whether a point and the next one lie on the same smooth piece of surface: no jump, no crease, both seen."""
+    step = np.diff(points.points_base, axis=0)
+    n0, n1 = points.normals_base[:-1], points.normals_base[1:]
+    with np.errstate(invalid="ignore"):
+        limit = _SIN_JUMP * np.sqrt(dot_rows(step, step))
+        smooth = (dot_rows(n0, n1) > _COS_CREASE) & (np.abs(dot_rows(step, n0)) < limit)
+        smooth &= np.abs(dot_rows(step, n1)) < limit
+    return np.asarray(smooth & points.seen[:-1] & points.seen[1:] & (points.part[:-1] == points.part[1:]))
+
+
+def trace_stripe(
+    rig: Rig,
+    parts_base: Sequence[Placed],
+    *,
+    spacing_px: float = 1.0,
+    edge_px: float = 3.0,
+    min_intensity_dn: float = 2.0,
+) -> StripeTrace:
+    """The stripe that an ideal extractor would find on parts in the base frame.
+
+    Parameters
+    ----------
+    rig : Rig   its laser, camera, lens and exposure; the errors of its turntable play no part
+    parts_base : what stands there, in the base frame
+    spacing_px : distance of the points along the stripe
+    edge_px : points nearer than this to the end of a smooth piece of surface are left out, as extractors lose or mistake them: to
+        a crease (the surface turns by more than 20 deg), a jump, a shadow, the border of the image
+    min_intensity_dn : fainter points are not found; grey values of an 8 bit image
+
+    Returns
+    -------
+    StripeTrace   empty where the camera sees no part of the stripe
+
+    Notes
+    -----
+    The centre is where the middle of the sheet meets the surface. A rendered stripe of finite width has its centroid
+    elsewhere on curved surfaces (docs/theory/11-renderer.md), which is not modelled here. Details of a part that are
+    narrower than a pixel may be passed over.
+    """
+    scene = _Scene(rig, parts_base, min_intensity_dn)
+    half_rad = np.radians(rig.laser.fan_deg / 2)
+    n_first = int(np.ceil(2 * half_rad * max(rig.camera.fx, rig.camera.fy))) + 2
+    points = scene.cast(np.linspace(-half_rad, half_rad, n_first))
+    for _ in range(_HALVINGS):
+        gap = ~_linked(points) & (points.seen[:-1] | points.seen[1:])
+        points = points.merged(scene.cast((points.angle_rad[:-1][gap] + points.angle_rad[1:][gap]) / 2))
+
+    piece = np.concatenate([[0], np.cumsum(~_linked(points))])
+    angles, segments = [np.empty(0)], [np.empty(0, int)]
+    for k in np.unique(piece[points.seen]):
+        part = points.select(piece == k)
+        arc_px = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(part.uv, axis=0), axis=1))])
+        places_px = np.arange(edge_px, arc_px[-1] - edge_px + 1e-9, spacing_px)
+        if len(places_px):
+            angles.append(np.interp(places_px, arc_px, part.angle_rad))
+            segments.append(np.full(len(places_px), len(segments) - 1))
+    found = scene.cast(np.concatenate(angles))
+    kept = found.select(found.seen)
+    segment = np.concatenate(segments)[found.seen]
+    full_dn = _FULL_SCALE_DN - rig.sensor.black_level_dn
+    return StripeTrace(
+        kept.points_base,
+        kept.uv,
+        kept.normal,
+        kept.width_px,
+        np.minimum(kept.intensity_dn, full_dn),
+        kept.intensity_dn >= full_dn,
+        segment,
+    )
