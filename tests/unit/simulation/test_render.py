@@ -6,24 +6,24 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rotaline.geometry.primitives import Plane
+from rotaline.geometry.primitives import Plane, unit
 from rotaline.simulation.boards import Plate
+from rotaline.simulation.material import Material
 from rotaline.simulation.render import (
     Placed,
     expose,
     render_frame,
     render_irradiance,
-    render_stripe_frame,
-    render_target_frame,
     subpixel_offsets,
 )
-from rotaline.simulation.rig import Laser, Rig, Sensor, build_rig
+from rotaline.simulation.rig import Laser, Optics, Rig, Sensor, build_rig
 from rotaline.simulation.shapes import Ball, Rod
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Checkerboard
 
 CAMERA = CameraModel((120, 90), 400.0, 398.0, 61.3, 43.9, k1=-0.1, k2=0.05, p1=0.001, p2=-0.0007)
-NO_BLUR = Sensor(blur_px=0.0)
+NO_BLUR = Optics(blur_px=0.0)
+PEAK = 200.0
 
 
 def _rig_that_is_its_camera(camera=CAMERA, plane=None):
@@ -34,7 +34,9 @@ def _rig_that_is_its_camera(camera=CAMERA, plane=None):
         normal /= np.linalg.norm(normal)
         plane = Plane(normal, -float(normal @ [2.0, 1.0, 200.0]))
         position = position - (normal @ position + plane.offset) * normal
-    return Rig(camera, RigidTransform.identity(), Laser(plane, position, sigma_mm=0.6, speckle_contrast=0.0), NO_BLUR)
+    beam = unit(np.array([2.0, 1.0, 200.0]) - position)
+    laser = Laser(plane, position, beam, sigma_mm=0.6, peak_e_per_ms=PEAK, speckle_contrast=0.0)
+    return Rig(camera, RigidTransform.identity(), laser, optics=NO_BLUR)
 
 
 def _oblique_plate():
@@ -45,7 +47,7 @@ def _oblique_plate():
 
 def test_an_edge_stands_where_its_projection_is():
     rig, plate = _rig_that_is_its_camera(), _oblique_plate()
-    ambient, _ = render_irradiance(rig, [plate], laser_on=False, ambient_dn=200.0)
+    ambient, _ = render_irradiance(rig, [plate], laser_on=False, ambient_e_per_ms=200.0)
     # the edge between two squares, near-vertical in the image: x = 0, away from corners
     edge_mm = np.array([[0.0, y, 0.0] for y in np.linspace(8.0, 52.0, 400)])
     edge_uv = CAMERA.project(plate.frame_from_part.apply(edge_mm))
@@ -70,7 +72,7 @@ def test_an_edge_stands_where_its_projection_is():
 def test_the_stripe_on_a_tilted_plane_is_the_integral_of_its_profile():
     rig, plate = _rig_that_is_its_camera(), _oblique_plate()
     _, laser = render_irradiance(
-        rig, [Placed(_White(plate.shape), plate.frame_from_part)], laser_on=True, ambient_dn=3.0
+        rig, [Placed(_White(plate.shape), plate.frame_from_part)], laser_on=True, ambient_e_per_ms=3.0
     )
 
     nodes, weights = np.polynomial.legendre.leggauss(6)
@@ -87,7 +89,7 @@ def test_the_stripe_on_a_tilted_plane_is_the_integral_of_its_profile():
         to_laser = rig.laser.position_base - points
         cos = (to_laser @ normal) / np.linalg.norm(to_laser, axis=1)
         d = rig.laser.plane_base.signed_distance_to(points)
-        light = (rig.laser.peak_dn * cos * np.exp(-0.5 * (d / rig.laser.sigma_mm) ** 2)).reshape(120, -1) @ weight
+        light = (rig.laser.peak_e_per_ms * cos * np.exp(-0.5 * (d / rig.laser.sigma_mm) ** 2)).reshape(120, -1) @ weight
         assert np.abs(laser[row] - light).max() < 0.01 * light.max()
         centroid, expected = (float(columns @ values / values.sum()) for values in (laser[row], light))
         assert abs(centroid - expected) < 0.005
@@ -106,8 +108,8 @@ class _White(Plate):
 
 
 def _level_scene():
-    rig = build_rig((160, 120), sensor=NO_BLUR)
-    table = Placed(Rod(200.0, 8.0, -8.0, 1.0), RigidTransform.identity())
+    rig = replace(build_rig((160, 120)), optics=NO_BLUR)
+    table = Placed(Rod(200.0, 8.0, -8.0, Material(1.0)), RigidTransform.identity())
     rod = Placed(Rod(20.0, 30.0), RigidTransform.identity())
     return rig, table, rod
 
@@ -119,8 +121,8 @@ def _pixel(rig, point_base):
 
 def test_a_part_throws_a_shadow_and_hides_what_is_behind_it():
     rig, table, rod = _level_scene()
-    _, free = render_irradiance(rig, [table], laser_on=True, ambient_dn=3.0)
-    _, shadowed = render_irradiance(rig, [table, rod], laser_on=True, ambient_dn=3.0)
+    _, free = render_irradiance(rig, [table], laser_on=True, ambient_e_per_ms=3.0)
+    _, shadowed = render_irradiance(rig, [table, rod], laser_on=True, ambient_e_per_ms=3.0)
     along = np.cross(rig.laser.plane_base.normal, [0.0, 0.0, 1.0])
     along *= np.sign(along @ rig.laser.position_base)
     foot = -rig.laser.plane_base.offset * rig.laser.plane_base.normal
@@ -132,11 +134,11 @@ def test_a_part_throws_a_shadow_and_hides_what_is_behind_it():
 
 
 def test_no_light_on_a_side_that_faces_away_from_the_laser():
-    rig = build_rig((160, 120), sensor=NO_BLUR)
+    rig = replace(build_rig((160, 120)), optics=NO_BLUR)
     behind = replace(rig, laser=replace(rig.laser, position_base=-rig.laser.position_base * [1.0, 1.0, -1.0]))
     ball = Placed(Ball(40.0), RigidTransform.identity())
-    _, front = render_irradiance(rig, [ball], laser_on=True, ambient_dn=0.0)
-    _, back = render_irradiance(behind, [ball], laser_on=True, ambient_dn=0.0)
+    _, front = render_irradiance(rig, [ball], laser_on=True, ambient_e_per_ms=0.0)
+    _, back = render_irradiance(behind, [ball], laser_on=True, ambient_e_per_ms=0.0)
     lower = slice(_pixel(rig, [0.0, 0.0, 20.0])[0], None)
     assert front[lower].sum() > 100.0
     assert back[lower].sum() < 0.05 * front[lower].sum()
@@ -146,8 +148,8 @@ def test_no_light_on_the_front_of_a_thin_plate_that_is_lit_from_behind():
     rig = _rig_that_is_its_camera()
     plate = _oblique_plate()
     behind = replace(rig, laser=replace(rig.laser, position_base=np.array([-20.0, 0.0, 500.0])))
-    _, front = render_irradiance(rig, [plate], laser_on=True, ambient_dn=0.0)
-    _, back = render_irradiance(behind, [plate], laser_on=True, ambient_dn=0.0)
+    _, front = render_irradiance(rig, [plate], laser_on=True, ambient_e_per_ms=0.0)
+    _, back = render_irradiance(behind, [plate], laser_on=True, ambient_e_per_ms=0.0)
     assert front.max() > 50.0
     assert np.all(back == 0.0)
 
@@ -158,7 +160,7 @@ def test_ambient_light_falls_with_the_angle_to_the_viewer(tilt_deg):
     plate = _White(Plate(Checkerboard((9, 9), 20.0)))
     rotation = Rotation.from_rotvec([0.0, np.radians(tilt_deg), 0.0])
     pose = RigidTransform.from_components([0.0, 0.0, 300.0] - rotation.apply(plate.centre_board()), rotation)
-    ambient, laser = render_irradiance(rig, [Placed(plate, pose)], laser_on=False, ambient_dn=100.0)
+    ambient, laser = render_irradiance(rig, [Placed(plate, pose)], laser_on=False, ambient_e_per_ms=100.0)
     assert np.all(laser == 0.0)
     middle = ambient[round(CAMERA.cy), round(CAMERA.cx)]
     assert middle == pytest.approx(100.0 * (0.55 + 0.45 * np.cos(np.radians(tilt_deg))), rel=0.005)
@@ -174,26 +176,26 @@ def test_sub_pixel_rays_are_spread_evenly_in_both_directions():
 
 @pytest.mark.parametrize(("bit_depth", "step"), [(8, 1.0), (16, 1 / 257)])
 def test_the_noise_has_the_stated_variance(bit_depth, step):
-    sensor = Sensor(bit_depth=bit_depth, read_noise_dn=0.8, electrons_per_dn=30.0, black_level_dn=3.0)
-    image = expose(np.full((300, 400), 100.0), sensor, np.random.default_rng(1)) * step
+    sensor = Sensor(bit_depth=bit_depth, full_well_e=255 * 30.0, read_noise_e=24.0, black_level_dn=3.0)
+    image = expose(np.full((300, 400), 3000.0), sensor, np.random.default_rng(1)) * step
     variance = 0.8**2 + 100.0 / 30.0 + step**2 / 12
     assert image.mean() == pytest.approx(103.0, abs=4 * np.sqrt(variance / image.size))
     assert image.var() == pytest.approx(variance, rel=4 * np.sqrt(2 / image.size))
 
 
 def test_too_much_light_is_clipped():
-    image = expose(np.full((5, 5), 400.0), Sensor(bit_depth=16), np.random.default_rng(1))
+    image = expose(np.full((5, 5), 12e3), Sensor(bit_depth=16), np.random.default_rng(1))
     assert np.all(image == 65535)
 
 
 def test_speckle_has_the_stated_contrast():
     rig, table, _ = _level_scene()
-    quiet = Sensor(read_noise_dn=0.0, electrons_per_dn=1e9, blur_px=0.0, bit_depth=16, black_level_dn=0.0)
-    wide = replace(rig.laser, sigma_mm=50.0, speckle_contrast=0.1, peak_dn=200.0)
+    quiet = Sensor(read_noise_e=0.0, full_well_e=1e9, bit_depth=16, black_level_dn=0.0)
+    wide = replace(rig.laser, sigma_mm=50.0, speckle_contrast=0.1, peak_e_per_ms=8e7)
     rig = replace(rig, laser=wide, sensor=quiet)
-    _, light = render_irradiance(rig, [table], laser_on=True, ambient_dn=0.0)
-    image = render_frame(rig, [table], laser_on=True, ambient_dn=0.0, seed=5) / 257
-    bright = light > 30.0
+    _, light = render_irradiance(rig, [table], laser_on=True, ambient_e_per_ms=0.0)
+    image = render_frame(rig, [table], laser_on=True, ambient_e_per_ms=0.0, exposure_ms=10.0, seed=5) / 65535 * 1e8
+    bright = light > 1e7
     ratio = image[bright] / light[bright]
     assert ratio.std() == pytest.approx(0.1, rel=0.1)
     assert ratio.mean() == pytest.approx(1.0, abs=0.01)
@@ -201,7 +203,10 @@ def test_speckle_has_the_stated_contrast():
 
 def test_the_seed_alone_fixes_the_noise():
     rig, table, rod = _level_scene()
-    images = [render_stripe_frame(rig, [table, rod], 30.0, seed) for seed in (7, 7, 8)]
+    images = [
+        render_frame(rig, [table, rod], laser_on=True, ambient_e_per_ms=12.0, exposure_ms=10.0, seed=seed)
+        for seed in (7, 7, 8)
+    ]
     np.testing.assert_array_equal(images[0], images[1])
     assert np.any(images[0] != images[2])
 
@@ -209,21 +214,9 @@ def test_the_seed_alone_fixes_the_noise():
 def test_a_red_laser_shows_in_the_first_channel():
     rig, table, _ = _level_scene()
     rig = replace(rig, sensor=Sensor(colour=True))
-    image = render_stripe_frame(rig, [table], 0.0, 1)
+    image = render_frame(rig, [table], laser_on=True, ambient_e_per_ms=12.0, exposure_ms=10.0, seed=1)
     assert image.shape == (120, 160, 3)
     red, green, blue = (int(image[:, :, k].max()) for k in range(3))
     assert red > 100
     assert green < 0.3 * red
     assert blue < 0.2 * red
-
-
-def test_a_target_is_bright_without_laser_and_dark_with_it():
-    rig = build_rig((160, 120))
-    target = Checkerboard((5, 4), 10.0)
-    pose = RigidTransform.from_components([-20.0, -15.0, 290.0], Rotation.from_rotvec([0.2, 0.1, 0.0]))
-    off = render_target_frame(rig, target, pose, laser_on=False, seed=1)
-    on = render_target_frame(rig, target, pose, laser_on=True, seed=1)
-    both = render_target_frame(rig, target, pose, laser_on=True, seed=1, ambient_dn=80.0)
-    assert np.median(off[off > 20]) > 100
-    assert np.median(on) < 10 < 100 < on.max()
-    assert np.median(both[off > 100]) > 30
