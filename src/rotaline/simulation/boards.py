@@ -19,6 +19,8 @@ from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
 WHITE, BLACK, BACK = 0.85, 0.06, 0.3
 """Albedo of the unprinted front, of the print and of the back."""
 
+PAPER = Material(WHITE)
+
 _MARKER_PX = 16
 """Side of one bit of a ChArUco marker in its bitmap, px."""
 
@@ -47,7 +49,7 @@ class Plate:
     print_offset_um: float = 0.0
     print_seed: int = 1
     flatness_um: float = 0.0
-    material: Material = Material(WHITE)
+    material: Material = PAPER
     _offsets: Float[np.ndarray, "rows columns 2"] = field(init=False, repr=False, compare=False)
     _markers: UInt8[np.ndarray, "..."] | None = field(init=False, repr=False, compare=False)
 
