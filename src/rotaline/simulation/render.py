@@ -19,7 +19,8 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt16
 from scipy.spatial.transform import RigidTransform
 
 from rotaline.simulation.rig import Laser, Rig, Sensor
-from rotaline.simulation.shapes import Shape, dot_rows
+from rotaline.simulation.shapes import Shape
+from rotaline.simulation.surface import dot_rows
 from rotaline.vision.camera import CameraModel
 
 _EDGE_LATTICE, _STRIPE_LATTICE = (34, 21), (21, 13)

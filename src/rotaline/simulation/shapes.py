@@ -3,20 +3,24 @@
 Every shape answers three questions about rays and points in its frame: where a ray first enters it (``intersect``), which
 way the surface faces there (``normals``), and how much light it sends back (``albedo``, ``material``). Only the entry of a
 ray from outside counts: nothing here is transparent.
+
+The parts of this module are exact: no facets. Each may have a form error, and chamfers where it has edges.
 """
 
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.simulation.form_error import Bent, DisplacedSurface, FormError, OutOfRound, OutOfSphere
 from rotaline.simulation.material import BRIGHT, MATT, Material
-
-Vectors = Float[np.ndarray, "n 3"]
-Distances = Float[np.ndarray, " n"]
-Faces = Int[np.ndarray, " n"]
+from rotaline.simulation.polyhedra import PolyhedraSurface, box_solid, prism
+from rotaline.simulation.revolution import RevolutionSurface, SphereSurface
+from rotaline.simulation.surface import Box, Distances, Faces, Surface, Vectors, bevelled, meets_box, require_lengths
+from rotaline.simulation.surface import dot_rows as dot_rows
 
 
 @runtime_checkable
@@ -28,7 +32,7 @@ class Shape(Protocol):
         """How the surface sends light back; where a print changes that, ``albedo`` knows better."""
         ...
 
-    def bounds(self) -> Float[np.ndarray, "2 3"]:
+    def bounds(self) -> Box:
         """Lower and upper corner of a box that holds the whole shape, mm."""
         ...
 
@@ -49,47 +53,90 @@ class Shape(Protocol):
         ...
 
 
-def dot_rows(a: Vectors, b: Vectors) -> Distances:
-    """Scalar product of each row of a with the same row of b."""
-    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
+class Solid(ABC):
+    """A shape of one material whose surface follows from its sizes; what all parts of this module have in common."""
 
+    material: Material
+    _surface: Surface
 
-def _entry(t_in: Distances, t_out: Distances) -> Distances:
-    """The entry into a convex solid; inf where the ray misses it or starts inside or behind."""
-    return np.where((t_in < t_out) & (t_in > 0), t_in, np.inf)
+    def __post_init__(self) -> None:
+        """Build the surface.
 
+        Raises
+        ------
+        ValueError
+            If sizes, chamfer and form error make no solid.
+        """
+        object.__setattr__(self, "_surface", self._build())
 
-@dataclass(frozen=True)
-class Ball:
-    """A sphere that stands on z = 0."""
+    @abstractmethod
+    def _build(self) -> Surface:
+        """The surface of these sizes."""
 
-    diameter: float
-    material: Material = BRIGHT
-
-    def bounds(self) -> Float[np.ndarray, "2 3"]:
+    @abstractmethod
+    def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
-        r = self.diameter / 2
-        return np.array([[-r, -r, 0.0], [r, r, self.diameter]])
+
+    def bounds(self) -> Box:
+        """See :class:`Shape`."""
+        return self._surface.bounds()
 
     def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
-        """See :class:`Shape`; one face."""
-        o = origin - np.array([0.0, 0.0, self.diameter / 2])
-        a = dot_rows(directions, directions)
-        half_b = directions @ o
-        # the discriminant as squared distance from the ray: no difference of large numbers
-        nearest = o - (half_b / a)[:, None] * directions
-        inside = (self.diameter / 2) ** 2 - dot_rows(nearest, nearest)
-        with np.errstate(invalid="ignore"):
-            t = (-half_b / a) - np.sqrt(inside / a)
-        return np.where((inside > 0) & (t > 0), t, np.inf), np.zeros(len(directions), int)
+        """See :class:`Shape`."""
+        t, faces = np.full(len(directions), np.inf), np.zeros(len(directions), int)
+        (near,) = np.nonzero(meets_box(self.bounds(), origin, directions))
+        t[near], faces[near] = self._surface.intersect(origin, directions[near])
+        return t, faces
 
     def normals(self, points: Vectors, faces: Faces) -> Vectors:
         """See :class:`Shape`."""
-        return (points - np.array([0.0, 0.0, self.diameter / 2])) / (self.diameter / 2)
+        return self._surface.normals(points, faces)
 
     def albedo(self, points: Vectors, faces: Faces) -> Distances:
         """See :class:`Shape`."""
         return np.full(len(points), self.material.albedo)
+
+
+def _round(outline_rz: Float[np.ndarray, "k 2"], form_error: FormError | None, smallest_radius: float) -> Surface:
+    """The surface of an outline, out of round if that is wanted."""
+    exact = RevolutionSurface(outline_rz)
+    if form_error is None or form_error.amplitude_um == 0.0:
+        return exact
+    if form_error.core_radius_mm > smallest_radius:
+        raise ValueError(
+            f"A form error of {form_error.amplitude_um} um with {form_error.lobes} lobes needs a radius of at least "
+            f"{form_error.core_radius_mm:.3g} mm; this part has {smallest_radius:.3g} mm."
+        )
+    return DisplacedSurface(exact, exact.grown(form_error.amplitude_mm), OutOfRound(form_error))
+
+
+def _flat(exact: PolyhedraSurface, form_error: FormError | None) -> Surface:
+    """The surface of a flat part, bent along its longer side if that is wanted."""
+    if form_error is None or form_error.amplitude_um == 0.0:
+        return exact
+    width, length, _ = (float(size) for size in np.ptp(exact.box, axis=0))
+    bent = Bent(form_error, 0, width) if width > length else Bent(form_error, 1, length)
+    return DisplacedSurface(exact, exact.grown(form_error.amplitude_mm), bent)
+
+
+@dataclass(frozen=True)
+class Ball(Solid):
+    """A sphere that stands on z = 0."""
+
+    diameter: float
+    material: Material = BRIGHT
+    form_error: FormError | None = None
+
+    def _build(self) -> Surface:
+        require_lengths("ball", diameter=self.diameter)
+        radius = self.diameter / 2
+        exact = SphereSurface(radius, radius)
+        error = self.form_error
+        if error is None or error.amplitude_um == 0.0:
+            return exact
+        if error.core_radius_mm > radius:
+            raise ValueError(f"A ball of {self.diameter} mm is too small for a form error of {error.amplitude_um} um.")
+        return DisplacedSurface(exact, exact.grown(error.amplitude_mm), OutOfSphere(error, radius))
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
@@ -97,102 +144,50 @@ class Ball:
 
 
 @dataclass(frozen=True)
-class Rod:
-    """An upright cylinder from ``z_bottom`` to ``z_bottom + height``; faces 0 side, 1 top, 2 bottom."""
+class Rod(Solid):
+    """An upright cylinder from ``z_bottom`` to ``z_bottom + height``; ``chamfer`` on both edges."""
 
     diameter: float
     height: float
     z_bottom: float = 0.0
     material: Material = MATT
+    chamfer: float = 0.0
+    form_error: FormError | None = None
 
-    def bounds(self) -> Float[np.ndarray, "2 3"]:
-        """See :class:`Shape`."""
-        r = self.diameter / 2
-        return np.array([[-r, -r, self.z_bottom], [r, r, self.z_bottom + self.height]])
-
-    def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
-        """See :class:`Shape`."""
-        dx, dy, dz = directions.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t_top = (self.z_bottom + self.height - origin[2]) / dz
-            t_bottom = (self.z_bottom - origin[2]) / dz
-            a = dx * dx + dy * dy
-            middle = -(origin[0] * dx + origin[1] * dy) / a
-            x, y = origin[0] + middle * dx, origin[1] + middle * dy
-            half = np.sqrt(((self.diameter / 2) ** 2 - x * x - y * y) / a)  # nan where the ray misses
-        flat_in, flat_out = np.minimum(t_top, t_bottom), np.maximum(t_top, t_bottom)
-        side_in, side_out = middle - half, middle + half
-        with np.errstate(invalid="ignore"):
-            t = _entry(np.maximum(flat_in, side_in), np.minimum(flat_out, side_out))
-            faces = np.where(side_in >= flat_in, 0, np.where(t_top < t_bottom, 1, 2))
-        return t, faces
-
-    def normals(self, points: Vectors, faces: Faces) -> Vectors:
-        """See :class:`Shape`."""
-        normals = np.zeros_like(points)
-        side = faces == 0
-        normals[side, :2] = points[side, :2] / (self.diameter / 2)
-        normals[faces == 1, 2] = 1.0
-        normals[faces == 2, 2] = -1.0
-        return normals
-
-    def albedo(self, points: Vectors, faces: Faces) -> Distances:
-        """See :class:`Shape`."""
-        return np.full(len(points), self.material.albedo)
+    def _build(self) -> Surface:
+        require_lengths("rod", diameter=self.diameter, height=self.height)
+        r, low, high = self.diameter / 2, self.z_bottom, self.z_bottom + self.height
+        outline = np.array([[0.0, low], [r, low], [r, high], [0.0, high]])
+        return _round(bevelled(outline, (1, 2), self.chamfer), self.form_error, r)
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
         return {"diameter": self.diameter, "height": self.height}
 
 
-def _intersect_union(
-    pieces: "tuple[Rod | Polyhedron, ...]", faces_each: int, origin: Float[np.ndarray, "3"], directions: Vectors
-) -> tuple[Distances, Faces]:
-    """The nearest entry into any of the pieces; face ``k`` of piece ``i`` has the number ``i * faces_each + k``."""
-    t, faces = pieces[0].intersect(origin, directions)
-    for i, piece in enumerate(pieces[1:], start=1):
-        t_piece, faces_piece = piece.intersect(origin, directions)
-        faces = np.where(t_piece < t, faces_piece + i * faces_each, faces)
-        t = np.minimum(t, t_piece)
-    return t, faces
-
-
-def _normals_union(pieces: "tuple[Rod | Polyhedron, ...]", faces_each: int, points: Vectors, faces: Faces) -> Vectors:
-    normals = np.zeros_like(points)
-    for i, piece in enumerate(pieces):
-        here = faces // faces_each == i
-        normals[here] = piece.normals(points[here], faces[here] - i * faces_each)
-    return normals
-
-
 @dataclass(frozen=True)
-class SteppedRod:
-    """The stepped cylinder of the article, as a solid: the small cylinder stands on the large one."""
+class SteppedRod(Solid):
+    """The stepped cylinder of the article as a solid: the small cylinder stands on the large one.
+
+    ``chamfer`` is on the edges at the top, at the outside of the step and at the bottom; the inner corner of the step is sharp.
+    """
 
     artifact: SteppedCylinder
     material: Material = MATT
+    chamfer: float = 0.0
+    form_error: FormError | None = None
 
-    @property
-    def _pieces(self) -> tuple[Rod, Rod]:
+    def _build(self) -> Surface:
+        require_lengths("stepped cylinder", **self.sizes())
         a = self.artifact
-        return Rod(a.diameter_large, a.height_large), Rod(a.diameter_small, a.height_small, a.height_large)
-
-    def bounds(self) -> Float[np.ndarray, "2 3"]:
-        """See :class:`Shape`."""
-        large, small = (piece.bounds() for piece in self._pieces)
-        return np.stack([np.minimum(large[0], small[0]), np.maximum(large[1], small[1])])
-
-    def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
-        """See :class:`Shape`."""
-        return _intersect_union(self._pieces, 3, origin, directions)
-
-    def normals(self, points: Vectors, faces: Faces) -> Vectors:
-        """See :class:`Shape`."""
-        return _normals_union(self._pieces, 3, points, faces)
-
-    def albedo(self, points: Vectors, faces: Faces) -> Distances:
-        """See :class:`Shape`."""
-        return np.full(len(points), self.material.albedo)
+        small, large = a.diameter_small / 2, a.diameter_large / 2
+        if small >= large:
+            raise ValueError(
+                f"The small cylinder must be narrower than the large one, not {a.diameter_small} against {a.diameter_large} mm."
+            )
+        step, top = a.height_large, a.height_large + a.height_small
+        outline = np.array([[0.0, 0.0], [large, 0.0], [large, step], [small, step], [small, top], [0.0, top]])
+        return _round(bevelled(outline, (1, 2, 4), self.chamfer), self.form_error, small)
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
@@ -205,57 +200,77 @@ class SteppedRod:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Polyhedron:
-    """A convex solid: all points with ``face_normals . X <= face_offsets``."""
+@dataclass(frozen=True)
+class Cone(Solid):
+    """An upright cone or frustum that stands on z = 0; a diameter of 0 is an apex.
 
-    face_normals: Float[np.ndarray, "k 3"]
-    face_offsets: Float[np.ndarray, " k"]
+    ``chamfer`` cuts both edges by the same length along the flat and along the flank. A form error is whole at the wider end and
+    fades away towards an apex.
+    """
+
+    diameter_bottom: float
+    diameter_top: float
+    height: float
     material: Material = MATT
+    chamfer: float = 0.0
+    form_error: FormError | None = None
 
-    def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
-        """See :class:`Shape`."""
-        n = len(directions)
-        t_in, t_out, faces = np.full(n, -np.inf), np.full(n, np.inf), np.zeros(n, int)
-        for k, (normal, offset) in enumerate(zip(self.face_normals, self.face_offsets, strict=True)):
-            towards = directions @ normal
-            outside = offset - float(origin @ normal)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                t = outside / towards
-            entering = (towards < 0) & (t > t_in)
-            t_in, faces = np.where(entering, t, t_in), np.where(entering, k, faces)
-            t_out = np.where(towards > 0, np.minimum(t_out, t), t_out)
-            if outside < 0:  # a ray that runs along this face's plane, outside, never enters
-                t_out = np.where(towards == 0, -np.inf, t_out)
-        return _entry(t_in, t_out), faces
-
-    def normals(self, points: Vectors, faces: Faces) -> Vectors:
-        """See :class:`Shape`."""
-        return np.asarray(self.face_normals[faces])
-
-    def albedo(self, points: Vectors, faces: Faces) -> Distances:
-        """See :class:`Shape`."""
-        return np.full(len(points), self.material.albedo)
+    def _build(self) -> Surface:
+        require_lengths("cone", height=self.height, larger_diameter=max(self.diameter_bottom, self.diameter_top))
+        bottom, top = self.diameter_bottom / 2, self.diameter_top / 2
+        if min(bottom, top) < 0.0:
+            raise ValueError(
+                f"A diameter of a cone must not be negative: {self.diameter_bottom}, {self.diameter_top} mm."
+            )
+        ring = [[bottom, 0.0], [top, self.height]]
+        outline = np.array([[0.0, 0.0]] * (bottom > 0) + ring + [[0.0, self.height]] * (top > 0))
+        edges = (1, 2) if bottom > 0 and top > 0 else (1,)
+        return _round(bevelled(outline, edges, self.chamfer), self.form_error, max(bottom, top))
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
-        return {}
-
-
-def _prism(profile_xz: list[tuple[float, float]], length: float) -> Polyhedron:
-    """A convex polygon in (x, z), counter-clockwise seen from -y, drawn out over ``-length/2 <= y <= length/2``."""
-    corners = np.array(profile_xz)
-    edges = np.roll(corners, -1, axis=0) - corners
-    outward = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1)[:, None]
-    sides = np.column_stack([outward[:, 0], np.zeros(len(corners)), outward[:, 1]])
-    offsets = np.einsum("ij,ij->i", outward, corners)
-    normals = np.vstack([sides, [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]])
-    return Polyhedron(normals, np.concatenate([offsets, [length / 2, length / 2]]))
+        return {"diameter_bottom": self.diameter_bottom, "diameter_top": self.diameter_top, "height": self.height}
 
 
 @dataclass(frozen=True)
-class GrooveBlock:
-    """A block with a trapezoidal groove along y, open at the top and at both ends."""
+class Block(Solid):
+    """A plate or block that stands on z = 0: ``width`` along x, ``length`` along y; ``chamfer`` on all twelve edges."""
+
+    width: float
+    length: float
+    height: float
+    material: Material = MATT
+    chamfer: float = 0.0
+    form_error: FormError | None = None
+
+    def _build(self) -> Surface:
+        require_lengths("block", **self.sizes())
+        high = np.array([self.width / 2, self.length / 2, self.height])
+        low = np.array([-self.width / 2, -self.length / 2, 0.0])
+        if not 0.0 <= 2 * self.chamfer < min(self.width, self.length, self.height):
+            raise ValueError(
+                f"A chamfer of {self.chamfer} mm does not fit on a block of {high - low} mm; make it smaller."
+            )
+        solid = box_solid(low.tolist(), high.tolist())
+        if self.chamfer > 0:
+            for i in range(6):
+                for j in range(i + 1, 6):
+                    if j - i != 3:  # not opposite
+                        edge = solid.offsets[i] + solid.offsets[j] - self.chamfer
+                        solid = solid.cut((solid.normals[i] + solid.normals[j]).tolist(), float(edge))
+        return _flat(PolyhedraSurface((solid,), np.stack([low, high])), self.form_error)
+
+    def sizes(self) -> dict[str, float]:
+        """See :class:`Shape`."""
+        return {"width": self.width, "length": self.length, "height": self.height}
+
+
+@dataclass(frozen=True)
+class GrooveBlock(Solid):
+    """A block with a trapezoidal groove along y, open at the top and at both ends.
+
+    ``chamfer`` is on the edges of the top: those of the groove and those of the block.
+    """
 
     width: float
     length: float
@@ -264,36 +279,27 @@ class GrooveBlock:
     groove_width_top: float
     groove_width_bottom: float
     material: Material = MATT
-    _pieces: tuple[Polyhedron, ...] = field(init=False, repr=False, compare=False)
+    chamfer: float = 0.0
+    form_error: FormError | None = None
 
-    def __post_init__(self) -> None:
-        """Cut the block into three convex pieces: below the groove, left and right of it."""
+    def _build(self) -> Surface:
+        """Three convex solids: below the groove, right and left of it."""
+        require_lengths("groove block", length=self.length)
         w, top, bottom = self.width / 2, self.groove_width_top / 2, self.groove_width_bottom / 2
         h, floor = self.height, self.height - self.groove_depth
         if not (0 < bottom <= top < w and 0 < floor < h):
             raise ValueError("The groove must fit into the block: 0 < bottom <= top < width and 0 < depth < height.")
-        profiles: tuple[list[tuple[float, float]], ...] = (
-            [(-w, 0.0), (w, 0.0), (w, floor), (-w, floor)],
-            [(-w, floor), (-bottom, floor), (-top, h), (-w, h)],
-            [(bottom, floor), (w, floor), (w, h), (top, h)],
-        )
-        object.__setattr__(self, "_pieces", tuple(_prism(profile, self.length) for profile in profiles))
-
-    def bounds(self) -> Float[np.ndarray, "2 3"]:
-        """See :class:`Shape`."""
-        return np.array([[-self.width / 2, -self.length / 2, 0.0], [self.width / 2, self.length / 2, self.height]])
-
-    def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
-        """See :class:`Shape`."""
-        return _intersect_union(self._pieces, 6, origin, directions)
-
-    def normals(self, points: Vectors, faces: Faces) -> Vectors:
-        """See :class:`Shape`."""
-        return _normals_union(self._pieces, 6, points, faces)
-
-    def albedo(self, points: Vectors, faces: Faces) -> Distances:
-        """See :class:`Shape`."""
-        return np.full(len(points), self.material.albedo)
+        if 2 * self.chamfer >= self.length:
+            raise ValueError(f"A chamfer of {self.chamfer} mm does not fit on a block {self.length} mm long.")
+        right = bevelled(np.array([[bottom, floor], [w, floor], [w, h], [top, h]]), (2, 3), self.chamfer)
+        left = right[::-1] * [-1.0, 1.0]
+        box = np.array([[-w, -self.length / 2, 0.0], [w, self.length / 2, h]])
+        end = self.length / 2 + h - self.chamfer
+        sides = (prism(outline, self.length) for outline in (right, left))
+        if self.chamfer > 0:
+            sides = (side.cut([0.0, 1.0, 1.0], end).cut([0.0, -1.0, 1.0], end) for side in sides)
+        below = box_solid(box[0].tolist(), [w, self.length / 2, floor])
+        return _flat(PolyhedraSurface((below, *sides), box), self.form_error)
 
     def sizes(self) -> dict[str, float]:
         """See :class:`Shape`."""
