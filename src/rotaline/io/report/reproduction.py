@@ -276,7 +276,10 @@ class Budget:
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """The article, reproduced. Sections that could not be done are None; ``info.warnings`` say why."""
+    """The article, reproduced. Sections that could not be done are None; ``info.warnings`` say why.
+
+    ``stepped`` is table 2, ``stepped_disturbed`` the same with the initial axis disturbed as in table 1.
+    """
 
     info: ReproductionInfo
     claims: ComparisonTable
@@ -285,6 +288,7 @@ class Reproduction:
     simulation: SimulationSection
     mounts: MountsSection | None
     stepped: ComparisonTable | None
+    stepped_disturbed: ComparisonTable | None
     parts: PartsSection | None
     complex_parts: ComplexPartsSection | None
     budget: Budget | None
@@ -295,7 +299,7 @@ class Reproduction:
         return (
             self.claims,
             *(section.table for section in first if section is not None),
-            *((self.stepped,) if self.stepped is not None else ()),
+            *(table for table in (self.stepped, self.stepped_disturbed) if table is not None),
             *(self.parts.tables if self.parts is not None else ()),
         )
 
