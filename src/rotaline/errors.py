@@ -13,6 +13,10 @@ class SessionError(RotalineError):
     """A session folder, or another file, is not what it should be: file, line, field, found, expected."""
 
 
+class RigError(RotalineError):
+    """A rig, or a part, that cannot be simulated: which quantity, what was found, what was expected."""
+
+
 class DetectionError(RotalineError):
     """Nothing usable in the image."""
 

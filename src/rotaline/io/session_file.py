@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from rotaline.errors import SessionError
 from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.io.toml_file import where
 from rotaline.metrology.model import Region
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target
 
@@ -140,8 +141,8 @@ def parse_session_file(path: Path) -> tuple[SessionFile | None, list[tuple[str, 
         return None, [(str(path), f"the file is not UTF-8 text (byte {error.start}). Save it as UTF-8.", True)]
     except tomllib.TOMLDecodeError as error:
         place = re.search(r"at line (\d+)", str(error))
-        where = f"{path}, line {place[1]}" if place else str(path)
-        return None, [(where, f"this is not valid TOML: {error}.", True)]
+        at = f"{path}, line {place[1]}" if place else str(path)
+        return None, [(at, f"this is not valid TOML: {error}.", True)]
     try:
         content = _File.model_validate(data)
     except ValidationError as error:
@@ -155,40 +156,38 @@ def parse_session_file(path: Path) -> tuple[SessionFile | None, list[tuple[str, 
 def _target_problems(path: Path, text: str, content: SessionFile) -> list[tuple[str, str, bool]]:
     problems = []
     for index, capture in enumerate(content.captures):
-        where = _where(path, text, ("captures", index, "target"))
+        at = where(path, text, ("captures", index, "target"))
         target = content.targets.get(capture.target or "")
         known = ", ".join(content.targets) or "none"
         if capture.role == "scan":
             continue
         if capture.target is None:
-            problems.append((where, f"role '{capture.role}' needs a target; there is {known}.", True))
+            problems.append((at, f"role '{capture.role}' needs a target; there is {known}.", True))
         elif target is None:
             problems.append(
-                (where, f"found '{capture.target}', expected the name of a table under [targets]: {known}.", True)
+                (at, f"found '{capture.target}', expected the name of a table under [targets]: {known}.", True)
             )
         elif (capture.role == "artifact") != isinstance(target, SteppedCylinder):
             expected = "a stepped-cylinder" if capture.role == "artifact" else "a checkerboard, dots or charuco"
-            problems.append(
-                (where, f"'{capture.target}' does not suit role '{capture.role}'; expected {expected}.", True)
-            )
+            problems.append((at, f"'{capture.target}' does not suit role '{capture.role}'; expected {expected}.", True))
     for name, target in content.targets.items():
         if isinstance(target, SteppedCylinder) and target.diameter_small >= target.diameter_large:
             problems.append(
                 (
-                    _where(path, text, ("targets", name, "diameters")),
+                    where(path, text, ("targets", name, "diameters")),
                     f"found [{target.diameter_small}, {target.diameter_large}], expected [small (upper), large (lower)].",
                     True,
                 )
             )
         if isinstance(target, CharucoBoard) and target.marker >= target.pitch:
-            where = _where(path, text, ("targets", name, "marker"))
+            at = where(path, text, ("targets", name, "marker"))
             problems.append(
-                (where, f"the marker ({target.marker} mm) must be smaller than its square ({target.pitch} mm).", True)
+                (at, f"the marker ({target.marker} mm) must be smaller than its square ({target.pitch} mm).", True)
             )
         if isinstance(target, DotGrid) and target.diameter is not None and target.diameter >= target.pitch:
-            where = _where(path, text, ("targets", name, "diameter"))
+            at = where(path, text, ("targets", name, "diameter"))
             problems.append(
-                (where, f"the dots ({target.diameter} mm) must be smaller than their pitch ({target.pitch} mm).", True)
+                (at, f"the dots ({target.diameter} mm) must be smaller than their pitch ({target.pitch} mm).", True)
             )
     return problems
 
@@ -199,7 +198,7 @@ def _unknown_keys(path: Path, text: str, content: _File) -> list[tuple[str, str,
     tables += [(("captures", i), table) for i, table in enumerate(content.captures)]
     tables += [(("measurements", i), table) for i, table in enumerate(content.measurements)]
     return [
-        (_where(path, text, (*place, key)), "this key is not known and is ignored.", False)
+        (where(path, text, (*place, key)), "this key is not known and is ignored.", False)
         for place, table in tables
         for key in table.model_extra or {}
     ]
@@ -211,53 +210,19 @@ def _explain(path: Path, text: str, data: dict[str, Any], error: dict[str, Any])
     kind, context = error["type"], error.get("ctx", {})
     if kind == "missing":
         if isinstance(place[-1], int):
-            return _where(path, text, place[:-1]), "the list is too short; expected two values.", True
+            return where(path, text, place[:-1]), "the list is too short; expected two values.", True
         expected = "version = 1" if place == ("version",) else f"a value for '{place[-1]}'"
-        return _where(path, text, place[:-1], place[-1]), f"it is missing; expected {expected}.", True
+        return where(path, text, place[:-1], place[-1]), f"it is missing; expected {expected}.", True
     if kind.startswith("union_tag"):
         place = (*place, "kind")
         found = context.get("tag", "nothing")
-        return _where(path, text, place), f"found '{found}', expected one of {', '.join(kinds)}.", True
+        return where(path, text, place), f"found '{found}', expected one of {', '.join(kinds)}.", True
     if kind == "literal_error":
         expected = str(context["expected"]).replace("'", "")
         hint = " This program reads version 1." if place == ("version",) else ""
-        return _where(path, text, place), f"found {error['input']!r}, expected {expected}.{hint}", True
-    return _where(path, text, place), f"found {error['input']!r}; {_lower(error['msg'])}.", True
+        return where(path, text, place), f"found {error['input']!r}, expected {expected}.{hint}", True
+    return where(path, text, place), f"found {error['input']!r}; {_lower(error['msg'])}.", True
 
 
 def _lower(message: str) -> str:
     return message[:1].lower() + message[1:]
-
-
-def _where(path: Path, text: str, place: tuple[Any, ...], missing: Any = None) -> str:
-    """File, line and field of a place in the document, as far as a plain search finds the line."""
-    field = ".".join(str(part) if isinstance(part, str) else f"[{part + 1}]" for part in place).replace(".[", "[")
-    if missing is not None:
-        field = f"{field}.{missing}" if field else str(missing)
-    line = _line_of(text, place)
-    return ", ".join([str(path), *([f"line {line}"] if line else []), *([field] if field else [])])
-
-
-def _line_of(text: str, place: tuple[Any, ...]) -> int | None:
-    lines = text.splitlines()
-    start, keys = 0, list(place)
-    if len(keys) >= 2 and isinstance(keys[1], int):
-        pattern = re.compile(rf"\s*\[\[\s*{re.escape(str(keys[0]))}\s*\]\]")
-        hits = [i for i, line in enumerate(lines) if pattern.match(line)]
-        if keys[1] >= len(hits):
-            return None
-        start, keys = hits[keys[1]], keys[2:]
-    elif len(keys) >= 2:
-        name = rf"[\"']?{re.escape(str(keys[1]))}[\"']?"
-        pattern = re.compile(rf"\s*\[\s*{re.escape(str(keys[0]))}\s*\.\s*{name}\s*\]")
-        hits = [i for i, line in enumerate(lines) if pattern.match(line)]
-        if not hits:
-            return None
-        start, keys = hits[0], keys[2:]
-    for key in keys[:1]:
-        for i in range(start, len(lines)):
-            if re.match(rf"\s*[\"']?{re.escape(str(key))}[\"']?\s*=", lines[i]):
-                return i + 1
-            if i > start and lines[i].lstrip().startswith("[") and not lines[i].lstrip().startswith(f"[{place[0]}."):
-                break
-    return start + 1 if place and start else None

@@ -1,0 +1,252 @@
+"""Rig files (TOML): a rig and what is to be recorded with it; and the presets, which are such files."""
+
+import re
+import tomllib
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import ValidationError
+
+from rotaline.errors import RigError
+from rotaline.io.rig_tables import CaptureTable, PartTable, RigTables, TargetTable
+from rotaline.io.rig_values import plan_of, rig_of
+from rotaline.io.toml_file import Place, where
+from rotaline.simulation.plan import SessionPlan
+from rotaline.simulation.rig import Rig
+
+PRESETS = ("article",)
+
+_TARGET_ROLES = ("camera", "laser-plane", "axis")
+
+
+@dataclass(frozen=True, eq=False)
+class RigFile:
+    """A rig file that was found to be right.
+
+    Attributes
+    ----------
+    source : the file, or "preset NAME"
+    text : of the file, as it was read
+    tables : what it says, with what it takes from a preset
+    """
+
+    source: str
+    text: str
+    tables: RigTables
+
+    def rig(self) -> Rig:
+        """The rig to be rendered.
+
+        Raises
+        ------
+        RigError
+            For a rig that cannot be; the message names the file.
+        """
+        return self._named(lambda: rig_of(self.tables))
+
+    def plan(self, seed: int | None = None) -> SessionPlan:
+        """The session to be rendered; ``seed`` instead of the file's.
+
+        Raises
+        ------
+        RigError
+            If poses of a target do not fit into the view.
+        """
+        chosen = self.tables.session.seed if seed is None else seed
+        return self._named(lambda: plan_of(self.tables, self.rig(), chosen))
+
+    def _named(self, make: Any) -> Any:
+        try:
+            return make()
+        except (RigError, ValueError) as error:
+            raise RigError(f"{self.source}: {str(error).removeprefix(self.source + ': ')}") from error
+
+
+def preset_text(name: str) -> str:
+    """The file of a preset.
+
+    Raises
+    ------
+    RigError
+        If there is no such preset.
+    """
+    if name not in PRESETS:
+        raise RigError(f"preset '{name}': there is no such preset; expected one of {', '.join(PRESETS)}.")
+    return (resources.files("rotaline.io") / "rig_presets" / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def read_preset(name: str) -> RigFile:
+    """A rig that comes with the program.
+
+    Raises
+    ------
+    RigError
+        If there is no such preset.
+    """
+    return parse_rig(preset_text(name), f"preset {name}")
+
+
+def read_rig_file(path: Path) -> RigFile:
+    """Read and check a rig file.
+
+    Raises
+    ------
+    RigError
+        With all that is wrong: file, line, field; found, expected.
+    """
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise RigError(
+            f"{path}: the rig file cannot be read ({error.strerror}). "
+            "`rotaline simulate --preset article --toml` prints one to begin with."
+        ) from error
+    except UnicodeDecodeError as error:
+        raise RigError(f"{path}: the file is not UTF-8 text (byte {error.start}). Save it as UTF-8.") from error
+    return parse_rig(text, str(path))
+
+
+def parse_rig(text: str, source: str) -> RigFile:
+    """Check the text of a rig file; ``source`` names it in messages.
+
+    Raises
+    ------
+    RigError
+        With all that is wrong: file, line, field; found, expected.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        place = re.search(r"at line (\d+)", str(error))
+        raise RigError(f"{source}{f', line {place[1]}' if place else ''}: this is not valid TOML: {error}.") from error
+    if "preset" in data:
+        try:
+            data = _merged(tomllib.loads(preset_text(str(data["preset"]))), data)
+        except RigError as error:
+            raise RigError(f"{where(source, text, ('preset',))}: {error}") from error
+    try:
+        tables = RigTables.model_validate(data)
+    except ValidationError as error:
+        raise RigError("\n".join(_explain(source, text, dict(entry)) for entry in error.errors())) from error
+    if problems := [f"{where(source, text, place)}: {what}" for place, what in _contradictions(tables)]:
+        raise RigError("\n".join(problems))
+    return RigFile(source, text, tables)
+
+
+def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Tables of both, key by key; lists, and targets or parts of another kind, are those of ``above``."""
+    result = dict(below)
+    for name, value in above.items():
+        old = below.get(name)
+        both = isinstance(old, dict) and isinstance(value, dict) and value.get("kind") in (None, old.get("kind"))
+        result[name] = _merged(old, value) if both and old is not None else value
+    return result
+
+
+def _contradictions(tables: RigTables) -> list[tuple[Place, str]]:
+    """What no single key tells."""
+    problems: list[tuple[Place, str]] = []
+    for name in tables.targets.keys() & tables.parts.keys():
+        problems.append((("parts", name), f"'{name}' is the name of a target as well; give one of them another name."))
+    for name, target in tables.targets.items():
+        if target.kind == "charuco" and target.marker_mm >= target.pitch_mm:
+            what = f"found {target.marker_mm:g}, expected less than the square's side, pitch_mm = {target.pitch_mm:g}."
+            problems.append((("targets", name, "marker_mm"), what))
+        if target.kind == "dots" and target.diameter_mm is not None and target.diameter_mm >= target.pitch_mm:
+            what = f"found {target.diameter_mm:g}, expected less than pitch_mm = {target.pitch_mm:g}."
+            problems.append((("targets", name, "diameter_mm"), what))
+    for name, part in tables.parts.items():
+        if part.kind == "stepped-cylinder" and part.diameters_mm[0] >= part.diameters_mm[1]:
+            what = f"found {list(part.diameters_mm)}, expected [small (upper), large (lower)]."
+            problems.append((("parts", name, "diameters_mm"), what))
+    folders = [capture.folder for capture in tables.captures]
+    for index, capture in enumerate(tables.captures):
+        place: Place = ("captures", index)
+        if capture.folder in folders[:index]:
+            problems.append(((*place, "folder"), f"'{capture.folder}' is the folder of an earlier capture; rename it."))
+        problems += [((*place, key), what) for key, what in _capture_contradictions(capture, tables)]
+    for index, measurement in enumerate(tables.measurements):
+        found = [c for c in tables.captures if c.folder == measurement.capture]
+        if not found or found[0].role not in ("scan", "artifact"):
+            known = ", ".join(c.folder for c in tables.captures if c.role in ("scan", "artifact")) or "none"
+            what = (
+                f"found '{measurement.capture}', expected the folder of a capture with role scan or artifact: {known}."
+            )
+            problems.append((("measurements", index, "capture"), what))
+    return problems
+
+
+def _capture_contradictions(capture: CaptureTable, tables: RigTables) -> list[tuple[str, str]]:
+    problems = []
+    needed, other = ("target", "part") if capture.role in _TARGET_ROLES else ("part", "target")
+    names = list(getattr(tables, needed + "s"))
+    name = getattr(capture, needed)
+    if name not in names:
+        found = "nothing" if name is None else f"'{name}'"
+        problems.append(
+            (
+                needed,
+                f"found {found}; role '{capture.role}' needs a name under [{needed}s]: {', '.join(names) or 'none'}.",
+            )
+        )
+    elif capture.role == "artifact" and tables.parts[name].kind != "stepped-cylinder":
+        problems.append((needed, f"'{name}' is a {tables.parts[name].kind}; role 'artifact' needs a stepped-cylinder."))
+    turning = ("from_deg", "to_deg", "step_deg", "frames", "shuffle")
+    unfit = {
+        "camera": (other, *turning, "laser_off_frames", "mount", "exposure_on_ms", "ambient_on_fraction"),
+        "laser-plane": (other, *turning, "laser_off_frames", "mount"),
+        "axis": (other, "views", "laser_off_frames", "mount", "exposure_on_ms", "ambient_on_fraction"),
+    }.get(capture.role, (other, "views"))
+    for key in unfit:
+        if key in capture.model_fields_set:
+            problems.append((key, f"this key says nothing for role '{capture.role}'; remove it."))
+    if capture.frames is not None and capture.step_deg is not None:
+        problems.append(("frames", "both frames and step_deg are given; keep one of them."))
+    if capture.to_deg is not None and not 0 < abs(capture.to_deg - capture.from_deg) <= 360:
+        problems.append(
+            ("to_deg", f"found {capture.to_deg:g}, expected up to 360 deg from from_deg = {capture.from_deg:g}.")
+        )
+    return problems
+
+
+def _explain(source: str, text: str, error: dict[str, Any]) -> str:
+    kinds = [get_args(model.model_fields["kind"].annotation)[0] for model in _models_with_kinds()]
+    place: Place = tuple(
+        part
+        for i, part in enumerate(error["loc"])
+        if not (i == 2 and error["loc"][0] in ("targets", "parts") and part in kinds)
+    )
+    kind, found, context = error["type"], error.get("input"), error.get("ctx", {})
+    if kind == "missing" and isinstance(place[-1], int):
+        return f"{where(source, text, place[:-1])}: found {found!r}, expected more values."
+    if kind == "missing":
+        hint = ' Or begin with a preset: preset = "article".' if len(place) <= 2 else ""
+        return f"{where(source, text, place[:-1], place[-1])}: it is missing; expected a value.{hint}"
+    if kind == "extra_forbidden":
+        return f"{where(source, text, place)}: there is no such key; expected one of {', '.join(_keys_beside(place))}."
+    if kind.startswith("union_tag"):
+        tag = f"'{context['tag']}'" if "tag" in context else "nothing"
+        expected = str(context.get("expected_tags") or ", ".join(kinds)).replace("'", "")
+        return f"{where(source, text, (*place, 'kind'))}: found {tag}, expected one of {expected}."
+    if kind == "literal_error":
+        return (
+            f"{where(source, text, place)}: found {found!r}, expected {str(context['expected']).replace(chr(39), '')}."
+        )
+    message = str(error["msg"])
+    return f"{where(source, text, place)}: found {found!r}; {message[:1].lower()}{message[1:]}."
+
+
+def _models_with_kinds() -> list[Any]:
+    return [*get_args(get_args(TargetTable)[0]), *get_args(get_args(PartTable)[0])]
+
+
+def _keys_beside(place: Place) -> list[str]:
+    """The keys that there are, where an unknown one was found."""
+    model: Any = RigTables
+    for part in place[:-1]:
+        if isinstance(part, str) and part in getattr(model, "model_fields", {}):
+            model = model.model_fields[part].annotation
+            model = CaptureTable if place[0] == "captures" and model == list[CaptureTable] else model
+    return list(getattr(model, "model_fields", ())) or ["those of its kind, see the documentation of the rig file"]
