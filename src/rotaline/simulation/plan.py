@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rotaline.geometry.primitives import SteppedCylinder, unit
+from rotaline.geometry.primitives import SteppedCylinder
 from rotaline.simulation.boards import Plate
 from rotaline.simulation.material import Material
+from rotaline.simulation.poses import axis_pose, camera_poses, laser_poses
 from rotaline.simulation.render import Placed
 from rotaline.simulation.rig import Rig, build_rig
 from rotaline.simulation.shapes import Ball, GrooveBlock, Rod, Shape, SteppedRod
@@ -26,8 +27,6 @@ STEPPED_CYLINDER = SteppedCylinder(23.051, 36.006, 22.003, 25.005)
 BALL = Ball(28.475)
 ROD = Rod(38.004, 40.0)
 GROOVE = GrooveBlock(46.0, 32.0, 24.0, 12.003, 22.0, 12.0)
-
-_ATTEMPTS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,66 +112,39 @@ def table_disc(rig: Rig) -> Placed:
     return Placed(Rod(2 * rig.table_radius_mm, 8.0, -8.0, Material(0.35)), RigidTransform.identity())
 
 
-def _in_view(rig: Rig, plate: Plate, camera_from_board: RigidTransform) -> bool:
-    x0, x1, y0, y1 = plate.extent
-    corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
-    uv = rig.camera.project(camera_from_board.apply(corners))
-    margin_px = 0.013 * min(rig.camera.image_size)
-    limit = np.array(rig.camera.image_size) - 1 - margin_px
-    return bool(np.all(uv > margin_px) and np.all(uv < limit))
+def _plate(board: Target | Plate) -> Plate:
+    return board if isinstance(board, Plate) else Plate(board)
 
 
-def _facing(direction: np.ndarray, up: np.ndarray, roll_rad: float) -> Rotation:
-    """Orientation of a board whose front looks along ``direction``, its top towards ``up``, then turned in its plane."""
-    z = -unit(direction)
-    y = unit(-up + (up @ z) * z)
-    return Rotation.from_matrix(np.column_stack([np.cross(y, z), y, z])) * Rotation.from_rotvec([0.0, 0.0, roll_rad])
+def camera_capture(
+    rig: Rig, board: Target | Plate, name: str, n_views: int, seed: int, folder: str = "camera"
+) -> CapturePlan:
+    """Views of a target in the corners and the middle of the image, see :func:`rotaline.simulation.poses.camera_poses`.
 
+    Parameters
+    ----------
+    rig : Rig
+    board : the target on a plate with errors, or a target alone: on a plate without any
+    name : of the target in the session
+    n_views : number of frames
+    seed : of the poses
+    folder : of the capture
 
-def _board_at(centre: np.ndarray, rotation: Rotation, plate: Plate) -> RigidTransform:
-    return RigidTransform.from_components(centre - rotation.apply(plate.centre_board()), rotation)
-
-
-def _poses_that_fit(
-    n: int, draw: Callable[[int], RigidTransform], fits: Callable[[RigidTransform], bool], what: str
-) -> list[RigidTransform]:
-    poses: list[RigidTransform] = []
-    for _ in range(_ATTEMPTS):
-        if len(poses) == n:
-            break
-        pose = draw(len(poses))
-        if fits(pose):
-            poses.append(pose)
-    if len(poses) < n:
-        raise ValueError(f"Only {len(poses)} of {n} poses of the {what} fit into the view; make it smaller.")
-    return poses
-
-
-def camera_capture(rig: Rig, target: Target, name: str, n_views: int, seed: int, folder: str = "camera") -> CapturePlan:
-    """Views of a target in the corners and the middle of the image, tilted up to 42 deg to all sides, wholly in view."""
-    rng = np.random.default_rng([seed, 1])
-    plate = Plate(target)
-    depth = float(np.linalg.norm(rig.camera_from_base.translation))
-    corners = ((-1, -1), (1, 1), (-1, 1), (1, -1), (0, 0))
-    half_view = np.array(rig.camera.image_size) / 2 / rig.camera.fx * depth
-
-    def draw(index: int) -> RigidTransform:
-        towards, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(20, 42))
-        tilted = Rotation.from_rotvec(tilt * np.array([np.cos(towards), np.sin(towards), 0.0]))
-        rotation = tilted * Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
-        corner = np.array(corners[index % len(corners)]) * rng.uniform(0.3, 0.7, 2)
-        centre = np.array([*(corner * half_view), depth * rng.uniform(0.92, 1.1)])
-        return _board_at(centre, rotation, plate)
-
-    poses = _poses_that_fit(n_views, draw, lambda pose: _in_view(rig, plate, pose), "target")
-    base_from_camera = rig.camera_from_base.inv()
+    Raises
+    ------
+    RigError
+        If there are not so many poses in view.
+    """
+    plate, base_from_camera = _plate(board), rig.camera_from_base.inv()
+    what = f"Capture {folder}, target {name}"
+    poses = camera_poses(rig, plate, n_views, np.random.default_rng([seed, 1]), what)
     shots = tuple(laser_off(rig, held=(Placed(plate, base_from_camera * pose),)) for pose in poses)
     return CapturePlan(folder, "camera", name, shots)
 
 
 def laser_capture(
     rig: Rig,
-    target: Target,
+    board: Target | Plate,
     name: str,
     n_poses: int,
     seed: int,
@@ -180,56 +152,41 @@ def laser_capture(
     ambient_fraction: float | None = None,
     folder: str = "laser",
 ) -> CapturePlan:
-    """Poses of a target in the laser sheet, each with the laser off and on; an ``ambient_fraction`` of 0.3 keeps it visible."""
-    rng = np.random.default_rng([seed, 2])
-    plate = Plate(target)
-    camera_base = np.asarray(rig.camera_from_base.inv().translation)
-    along = unit(np.cross(rig.laser.plane_base.normal, [0.0, 0.0, 1.0]))
-    across = unit(np.cross(along, rig.laser.plane_base.normal))
+    """Poses of a target in the laser sheet, each with the laser off and on; an ``ambient_fraction`` of 0.3 keeps it visible.
 
-    def draw(_: int) -> RigidTransform:
-        foot = -rig.laser.plane_base.offset * rig.laser.plane_base.normal
-        centre = foot + rng.uniform(-24, 24) * along + rng.uniform(2, 36) * across
-        front = unit(unit(camera_base - centre) + 0.7 * unit(rig.laser.position_base - centre))
-        front = unit(front + rng.normal(0.0, 0.25, 3))
-        return _board_at(centre, _facing(front, np.array([0.0, 0.0, 1.0]), rng.uniform(-0.3, 0.3)), plate)
+    See :func:`camera_capture` for the parameters, and :func:`rotaline.simulation.poses.laser_poses`.
 
-    def fits(base_from_board: RigidTransform) -> bool:
-        centre = base_from_board.apply(plate.centre_board()[None])[0]
-        front = -base_from_board.rotation.as_matrix()[:, 2]
-        lit = front @ unit(rig.laser.position_base - centre) > 0.4 and front @ unit(camera_base - centre) > 0.6
-        across_sheet = abs(front @ rig.laser.plane_base.normal) < 0.7  # not so oblique that the stripe gets wide
-        return bool(lit and across_sheet) and _in_view(rig, plate, rig.camera_from_base * base_from_board)
-
-    poses = _poses_that_fit(n_poses, draw, fits, "target in the laser sheet")
-    shots = [
-        shot
-        for i, pose in enumerate(poses)
-        for shot in (
-            laser_off(rig, pose=str(i), held=(Placed(plate, pose),)),
-            laser_on(rig, ambient_fraction, pose=str(i), held=(Placed(plate, pose),)),
-        )
-    ]
+    Raises
+    ------
+    RigError
+        If there are not so many poses in view and in the sheet.
+    """
+    plate, base_from_camera = _plate(board), rig.camera_from_base.inv()
+    what = f"Capture {folder}, target {name}"
+    poses = laser_poses(rig, plate, n_poses, np.random.default_rng([seed, 2]), what)
+    shots = []
+    for i, pose in enumerate(poses):
+        held = (Placed(plate, base_from_camera * pose),)
+        shots += [
+            laser_off(rig, pose=str(i), held=held),
+            laser_on(rig, ambient_fraction, pose=str(i), held=held),
+        ]
     return CapturePlan(folder, "laser-plane", name, tuple(shots))
 
 
 def axis_capture(
-    rig: Rig, target: Target, name: str, angles_deg: tuple[float, ...], folder: str = "axis"
+    rig: Rig, board: Target | Plate, name: str, angles_deg: tuple[float, ...], folder: str = "axis"
 ) -> CapturePlan:
-    """A target that stands on the table, leaning back; in the middle of the turn it faces the camera."""
-    plate = Plate(target)
-    camera_base = np.asarray(rig.camera_from_base.inv().translation)
-    azimuth = np.arctan2(camera_base[1], camera_base[0])
-    lean = np.radians(30.0)
-    front = np.array([np.cos(azimuth) * np.cos(lean), np.sin(azimuth) * np.cos(lean), np.sin(lean)])
-    _, _, y0, y1 = plate.extent
-    centre = np.array([0.0, 0.0, (y1 - y0) / 2 * np.cos(lean) + 0.5]) + 4.0 * np.array(
-        [np.cos(azimuth), np.sin(azimuth), 0.0]
-    )
-    base_from_board = _board_at(centre, _facing(front, np.array([0.0, 0.0, 1.0]), 0.03), plate)
-    middle = (min(angles_deg) + max(angles_deg)) / 2
-    board = Placed(plate, rig.base_from_table(middle).inv() * base_from_board)
-    shots = tuple(laser_off(rig, angle_deg=angle, on_table=(board, table_disc(rig))) for angle in angles_deg)
+    """A target that stands on the table and leans back, in view at all angles; see :func:`rotaline.simulation.poses.axis_pose`.
+
+    Raises
+    ------
+    RigError
+        If it is not in view at all angles, wherever it stands.
+    """
+    plate = _plate(board)
+    placed = Placed(plate, axis_pose(rig, plate, angles_deg, f"Capture {folder}, target {name}"))
+    shots = tuple(laser_off(rig, angle_deg=angle, on_table=(placed, table_disc(rig))) for angle in angles_deg)
     return CapturePlan(folder, "axis", name, shots)
 
 
