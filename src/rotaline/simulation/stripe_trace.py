@@ -4,9 +4,9 @@ The sheet is made of straight rays that leave the laser (a bowed sheet is a cone
 is a lit point of the stripe: it lies on the sheet and on the surface, and nothing stands before it. It is a point of the image if a
 ray from the camera enters at the same place first. So every centre is exact, without any search in the image.
 
-The rays of the fan are first spread evenly, closer than the pixels. Where two neighbours do not belong to the same smooth
-piece of surface, the gap is halved until the edge is known to a hundredth of a pixel. Along each piece, points are then placed at an
-even distance in the image and cast anew.
+The rays of the fan are first spread evenly, about one a pixel. Where two neighbours end more than a pixel apart, or do not belong to
+the same smooth piece of surface, the gap is halved, until the edge is known to a few hundredths of a pixel. Along each piece, points
+are then placed at an even distance in the image and cast anew.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,6 @@ from jaxtyping import Bool, Float, Int
 
 from rotaline.simulation.render import Placed
 from rotaline.simulation.rig import Laser, Rig
-from rotaline.simulation.shapes import dot_rows
 from rotaline.vision.camera import CameraModel
 
 _HALVINGS = 8
@@ -142,9 +141,9 @@ class _Scene:
 
         uv = self.project(points)
         width, height = self.rig.camera.image_size
-        length = np.sqrt(dot_rows(rays, rays))
-        cos_lit = -dot_rows(rays, normals) / length
-        cos_seen = dot_rows(self.eye - points, normals)
+        length = np.sqrt(np.vecdot(rays, rays))
+        cos_lit = -np.vecdot(rays, normals) / length
+        cos_seen = np.vecdot(self.eye - points, normals)
         inside = (uv[:, 0] >= 0) & (uv[:, 0] <= width - 1) & (uv[:, 1] >= 0) & (uv[:, 1] <= height - 1)
         seen = inside & (cos_lit > 0) & (cos_seen > 0)
 
@@ -173,7 +172,7 @@ class _Scene:
         sheet_normal = self.rig.laser.plane_base.normal
         with np.errstate(invalid="ignore", divide="ignore"):
             along = np.cross(normals, sheet_normal)
-            along = along / np.sqrt(dot_rows(along, along))[:, None]
+            along = along / np.sqrt(np.vecdot(along, along))[:, None]
             across = np.cross(along, normals)
             tangent = self._image_of(points, along)
             tangent = tangent / np.linalg.norm(tangent, axis=1)[:, None]
@@ -205,9 +204,9 @@ def _linked(points: _Points) -> Bool[np.ndarray, " m"]:
     step = np.diff(points.points_base, axis=0)
     n0, n1 = points.normals_base[:-1], points.normals_base[1:]
     with np.errstate(invalid="ignore"):
-        limit = _SIN_JUMP * np.sqrt(dot_rows(step, step))
-        smooth = (dot_rows(n0, n1) > _COS_CREASE) & (np.abs(dot_rows(step, n0)) < limit)
-        smooth &= np.abs(dot_rows(step, n1)) < limit
+        limit = _SIN_JUMP * np.sqrt(np.vecdot(step, step))
+        smooth = (np.vecdot(n0, n1) > _COS_CREASE) & (np.abs(np.vecdot(step, n0)) < limit)
+        smooth &= np.abs(np.vecdot(step, n1)) < limit
     return np.asarray(smooth & points.seen[:-1] & points.seen[1:] & (points.part[:-1] == points.part[1:]))
 
 
@@ -245,7 +244,9 @@ def trace_stripe(
     n_first = int(np.ceil(2 * half_rad * max(rig.camera.fx, rig.camera.fy))) + 2
     points = scene.cast(np.linspace(-half_rad, half_rad, n_first))
     for _ in range(_HALVINGS):
-        gap = ~_linked(points) & (points.seen[:-1] | points.seen[1:])
+        linked = _linked(points)
+        gap = ~linked & (points.seen[:-1] | points.seen[1:])
+        gap |= linked & (np.linalg.norm(np.diff(points.uv, axis=0), axis=1) > 1.0)
         points = points.merged(scene.cast((points.angle_rad[:-1][gap] + points.angle_rad[1:][gap]) / 2))
 
     piece = np.concatenate([[0], np.cumsum(~_linked(points))])

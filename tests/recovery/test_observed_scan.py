@@ -1,0 +1,70 @@
+"""From traced stripes back to the surface, with the true system: exact without noise, within the prediction with it."""
+
+import numpy as np
+import pytest
+
+from rotaline.calibration.model import SystemCalibration
+from rotaline.scanning.triangulation import scan_cloud
+from rotaline.simulation.observed_scan import trace_scan
+from rotaline.simulation.plan import BALL, ROD, mount, table_disc
+from rotaline.simulation.render import Placed
+from rotaline.simulation.rig import build_rig
+
+ANGLES_DEG = tuple(30.0 * i for i in range(12))
+RIGS = {
+    "article": build_rig((640, 480)),
+    "other side, other sense, rolled": build_rig((640, 480), camera_side=1, turn_sense=-1, roll_deg=90.0),
+}
+
+
+def _true_system(rig):
+    return SystemCalibration(rig.camera, rig.laser_plane_camera, rig.rotation_axis_camera, rig.turn_sense, True)
+
+
+def _cloud(rig, scan, stripes):
+    """Points in the rig's own table frame: the x of a calibrated base points elsewhere."""
+    system = _true_system(rig)
+    cloud = scan_cloud(stripes, scan.angles_rad, system)
+    assert len(cloud) == len(scan.uv)
+    rig_from_system = (system.base_from_camera * rig.camera_from_base).inv()
+    return rig_from_system.apply(cloud.points_table), cloud
+
+
+def _heights_over(part, points_table):
+    """Distance outside the surface of the ball, or of the rod's side; NaN for points elsewhere."""
+    p = part.frame_from_part.inv().apply(points_table)
+    if part.shape is BALL:
+        radius = np.linalg.norm(p - [0.0, 0.0, BALL.diameter / 2], axis=1)
+        return np.where((radius < 20.0) & (p[:, 2] > 0.5), radius - BALL.diameter / 2, np.nan)
+    radius = np.hypot(p[:, 0], p[:, 1])
+    side = (radius < 25.0) & (p[:, 2] > 0.5) & (p[:, 2] < ROD.height - 0.5)
+    return np.where(side, radius - ROD.diameter / 2, np.nan)
+
+
+@pytest.mark.parametrize("rig", RIGS.values(), ids=RIGS.keys())
+@pytest.mark.parametrize("shape", [BALL, ROD], ids=["ball", "rod"])
+def test_ideal_stripes_give_the_true_surface(rig, shape):
+    part = Placed(shape, mount(3.1, -1.2, tilt_deg=0.5))
+    scan = trace_scan(rig, [part, table_disc(rig)], ANGLES_DEG)
+    points_table, _ = _cloud(rig, scan, scan.observed(0.0, 1))
+    np.testing.assert_allclose(points_table, scan.points_table, atol=1e-8)
+    heights = _heights_over(part, points_table)
+    on_part = np.isfinite(heights)
+    assert on_part.sum() > 1000
+    assert np.abs(heights[on_part]).max() < 1e-6
+    assert np.abs(points_table[points_table[:, 2] < 1e-3][:, 2]).max() < 1e-6
+
+
+@pytest.mark.parametrize("shape", [BALL, ROD], ids=["ball", "rod"])
+def test_noise_moves_points_as_far_as_predicted(shape):
+    rig = RIGS["article"]
+    part = Placed(shape, mount(3.1, -1.2))
+    scan = trace_scan(rig, [part, table_disc(rig)], ANGLES_DEG)
+    z = []
+    for seed in range(10):
+        points_table, cloud = _cloud(rig, scan, scan.observed(0.1, seed))
+        moved = np.linalg.norm(points_table - scan.points_table, axis=1)
+        z.append(moved / cloud.u_mm)
+    z = np.concatenate(z)
+    assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=4 / np.sqrt(2 * len(z)))
+    assert np.mean(z < 1) == pytest.approx(0.6827, abs=4 * np.sqrt(0.22 / len(z)))
