@@ -270,12 +270,13 @@ def _open_run(
     chosen = read_options(options, tuple(settings or ()))
     folder = results_folder(session, out)
     job = Run(
-        content, folder, chosen, ConsoleObserver(0 if quiet else 1), force, on_ready=lambda: _open_log(folder, verbose)
+        content, folder, chosen, ConsoleObserver(0 if quiet else 1), force, on_ready=lambda: open_log(folder, verbose)
     )
     return job
 
 
-def _open_log(folder: Path, verbose: bool) -> None:
+def open_log(folder: Path, verbose: bool = False) -> None:
+    """Write the log into the folder of the results, with ``verbose`` to the terminal as well."""
     log = logging.getLogger("rotaline")
     log.setLevel(logging.INFO)
     log.propagate = False

@@ -59,12 +59,18 @@ class StageResult:
 
 
 class StageStore:
-    """Stored stage results in ``folder``; with ``force`` they are made again."""
+    """Stored stage results in ``folder``; with ``force`` they are made again.
 
-    def __init__(self, folder: Path, observer: Observer, force: bool = False) -> None:
+    A new result of a stage takes the place of an older one, unless ``keep_variants``: then results of the same stage with other
+    inputs or options stay until :meth:`forget_unused`.
+    """
+
+    def __init__(self, folder: Path, observer: Observer, force: bool = False, keep_variants: bool = False) -> None:
         self._folder = folder
         self._observer = observer
         self._force = force
+        self._keep_variants = keep_variants
+        self._used: set[Path] = set()
         self._known: dict[str, tuple[str, Any]] = {}
         self.seconds: dict[str, float] = {}
         make_folder(folder)
@@ -82,7 +88,18 @@ class StageStore:
         """The result that this run has of a stage, or None."""
         return self._known.get(name, (None, None))[1]
 
+    def forget_unused(self) -> None:
+        """Remove results that nothing has asked for since the store was opened.
+
+        Raises
+        ------
+        OutputError
+            If they cannot be removed.
+        """
+        self._remove(path for path in self._folder.glob("*.npz") if path not in self._used)
+
     def _stored_or_new(self, path: Path, title: str, compute: Callable[[], T]) -> T:
+        self._used.add(path)
         if path.is_file() and not self._force:
             try:
                 stored: StageResult = read_record(path)
@@ -98,17 +115,17 @@ class StageStore:
         self.seconds[title] = time.perf_counter() - start
         LOG.info("%s took %.2f s", title, self.seconds[title])
         write_record(path, StageResult(self.seconds[title], value))
-        self._forget_others(path)
+        if not self._keep_variants:
+            name = path.name.split(".")[0]
+            self._remove(other for other in self._folder.glob(f"{name}.*.npz") if other != path)
         return value
 
-    def _forget_others(self, path: Path) -> None:
-        name = path.name.split(".")[0]
+    def _remove(self, paths: Iterable[Path]) -> None:
         try:
-            for other in self._folder.glob(f"{name}.*.npz"):
-                if other != path:
-                    other.unlink()
+            for path in list(paths):
+                path.unlink()
         except OSError as error:
-            raise output_error(path, error) from error
+            raise output_error(self._folder, error) from error
 
 
 def check_writable(folder: Path) -> None:

@@ -58,6 +58,15 @@ def test_stages_whose_names_begin_alike_do_not_remove_each_other(tmp_path):
     assert sorted(p.name for p in (tmp_path / "stages").iterdir()) == ["stripes-a-b.k2.npz", "stripes-a.k3.npz"]
 
 
+def test_variants_are_kept_until_nothing_asks_for_them(tmp_path):
+    first = StageStore(tmp_path, Silent(), keep_variants=True)
+    assert [first.get("axis", "A", key, lambda key=key: key) for key in ("k1", "k2", "k1")] == ["k1", "k2", "k1"]
+    second = StageStore(tmp_path, Silent(), keep_variants=True)
+    assert second.get("axis", "A", "k1", lambda: "made again") == "k1"
+    second.forget_unused()
+    assert [p.name for p in tmp_path.iterdir()] == ["axis.k1.npz"]
+
+
 def test_the_key_follows_files_and_values(tmp_path):
     file = tmp_path / "x.png"
     file.write_bytes(b"1")

@@ -8,8 +8,8 @@ References
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -307,3 +307,31 @@ class Reproduction:
         """How many figures by the default method are better, equal and worse than the article's."""
         found = [c.verdict_default_method for table in self.tables() for c in table.comparisons()]
         return {verdict: found.count(verdict) for verdict in ("better", "equal", "worse")}
+
+
+def reproduction_document(reproduction: Reproduction) -> dict[str, Any]:
+    """What ``reproduction.json`` holds: how it was made, every table, the details of the complex parts, the budget."""
+    complex_parts = reproduction.complex_parts
+    return {
+        "info": asdict(reproduction.info),
+        "verdicts": reproduction.verdicts(),
+        "tables": [asdict(table) for table in reproduction.tables()],
+        "complex_parts": None
+        if complex_parts is None
+        else {
+            "resolved_rule": complex_parts.resolved_rule,
+            "parts": [
+                {
+                    "name": part.name,
+                    "title": part.title,
+                    "n_points": part.n_points,
+                    "rms_mm": part.rms_mm,
+                    "p95_mm": part.p95_mm,
+                    "coverage": part.coverage,
+                    "details": [asdict(detail) for detail in part.details],
+                }
+                for part in complex_parts.parts
+            ],
+        },
+        "budget": None if reproduction.budget is None else asdict(reproduction.budget),
+    }

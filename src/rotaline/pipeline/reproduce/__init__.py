@@ -1,0 +1,1 @@
+"""The article's experiments, rendered, processed, and set beside its figures."""

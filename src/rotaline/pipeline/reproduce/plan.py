@@ -1,0 +1,157 @@
+"""Which sessions the article's experiments need: what is rendered, frame by frame."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.io.rig_file import RigFile
+from rotaline.io.rig_values import plate_of, shape_of
+from rotaline.pipeline.reproduce.article import (
+    ARTIFACT_STEP_DEG,
+    AXIS_RANGE_DEG,
+    AXIS_STEP_DEG,
+    N_CAMERA_VIEWS,
+    N_LASER_POSES,
+    STEPPED_CYLINDER,
+)
+from rotaline.simulation.boards import Plate
+from rotaline.simulation.plan import (
+    CapturePlan,
+    SessionPlan,
+    axis_capture,
+    camera_capture,
+    full_turn,
+    laser_capture,
+    mount,
+    scan_capture,
+)
+from rotaline.simulation.rig import Rig
+from rotaline.vision.targets.model import Target
+
+N_MOUNTS = 5
+MOUNT_SEED, POSITION_SEED = 11, 12
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is rendered: the rig as the text of a rig file, and how many frames of what."""
+
+    rig_toml: str
+    n_camera_views: int
+    n_laser_poses: int
+    axis_step_deg: float
+    n_artifact_frames: int
+    n_part_frames: int
+    n_complex_frames: int
+
+
+FULL = Effort(
+    'preset = "article"\n', N_CAMERA_VIEWS, N_LASER_POSES, AXIS_STEP_DEG, round(360 / ARTIFACT_STEP_DEG), 90, 180
+)
+QUICK = Effort(
+    """preset = "article"
+[camera]
+image_size = [640, 480]
+pixel_pitch_um = 7.5
+principal_point_offset_px = [2.7, 1.25]
+blur_px = 0.5
+""",
+    14,
+    8,
+    4.0,
+    30,
+    24,
+    60,
+)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of tables 3 to 5: its names here and in the rig file, and what is measured in it."""
+
+    name: str
+    in_rig_file: str
+    feature: str
+    key: str
+
+
+PARTS = (
+    Part("ball", "ball", "sphere", "diameter"),
+    Part("cylinder", "rod", "cylinder", "diameter"),
+    Part("groove", "groove", "groove", "depth"),
+)
+
+
+def mount_names() -> tuple[str, ...]:
+    """W1 to W5."""
+    return tuple(f"W{k + 1}" for k in range(N_MOUNTS))
+
+
+def session_plans(rig_file: RigFile, effort: Effort, seed: int) -> Mapping[str, SessionPlan]:
+    """The sessions by name: ``sensor``, ``W1`` to ``W5``, and one for each part of tables 3 to 5.
+
+    Targets and parts are those of the rig file. Captures have names of their own, so that captures of several sessions can be
+    processed together.
+
+    Raises
+    ------
+    RigError
+        If a target does not fit into the view.
+    """
+    rig, tables = rig_file.rig(), rig_file.tables
+    checkerboard, dots = plate_of(tables.targets["checkerboard"]), plate_of(tables.targets["dots"])
+    targets: dict[str, Target | SteppedCylinder] = {
+        "checkerboard": checkerboard.target,
+        "dots": dots.target,
+        "stepped-cylinder": STEPPED_CYLINDER,
+    }
+    sensor = (
+        camera_capture(rig, checkerboard, "checkerboard", effort.n_camera_views, seed),
+        laser_capture(rig, dots, "dots", effort.n_laser_poses, seed),
+    )
+    plans = {"sensor": SessionPlan(targets, sensor, seed=seed)}
+    mounts = _stands(N_MOUNTS, 2.0, 6.0, 0.15, seed, MOUNT_SEED)
+    shape, turn = shape_of(tables.parts["stepped-cylinder"]), full_turn(effort.n_artifact_frames)
+    for k, (name, stand) in enumerate(zip(mount_names(), mounts, strict=True)):
+        stepped = scan_capture(
+            rig, shape, stand, turn, folder=f"stepped-{name}", role="artifact", target="stepped-cylinder"
+        )
+        axis = _board_on_table(rig, checkerboard, f"axis-{name}", effort, k, seed)
+        plans[name] = SessionPlan(targets, (axis, stepped), seed=seed + k + 1)
+    for p, part in enumerate(PARTS):
+        shape = shape_of(tables.parts[part.in_rig_file])
+        stands = _stands(N_MOUNTS, 0.5, 5.0, 0.05, seed, POSITION_SEED, p)
+        captures = tuple(
+            scan_capture(rig, shape, stand, full_turn(effort.n_part_frames), folder=f"{part.name}-{k + 1}")
+            for k, stand in enumerate(stands)
+        )
+        plans[part.name] = SessionPlan(targets, captures, seed=seed + 100 + p)
+    return plans
+
+
+def _stands(n: int, nearest_mm: float, farthest_mm: float, tilt_deg: float, *seed: int) -> list[RigidTransform]:
+    """Places of a part that is put down anew each time: off centre by a random distance in a random direction, hardly tilted."""
+    rng = np.random.default_rng(seed)
+    stands = []
+    for _ in range(n):
+        radius, azimuth = rng.uniform(nearest_mm, farthest_mm), rng.uniform(0.0, 2 * np.pi)
+        x_mm, y_mm = float(radius * np.cos(azimuth)), float(radius * np.sin(azimuth))
+        turn, tilt, towards = rng.uniform(0.0, 1.0, 3) * (360.0, tilt_deg, 360.0)
+        stands.append(mount(x_mm, y_mm, float(turn), float(tilt), float(towards)))
+    return stands
+
+
+def _board_on_table(rig: Rig, board: Plate, folder: str, effort: Effort, k: int, seed: int) -> CapturePlan:
+    """The checkerboard on the table, put down anew for mount k: shifted by up to 1.5 mm and turned by up to 2 deg."""
+    rng = np.random.default_rng([seed, MOUNT_SEED, 100 + k])
+    n = round(AXIS_RANGE_DEG / effort.axis_step_deg) + 1
+    angles = tuple(effort.axis_step_deg * i for i in range(n))
+    capture = axis_capture(rig, board, "checkerboard", angles, folder=folder)
+    x_mm, y_mm = rng.uniform(-1.5, 1.5, 2)
+    turned = Rotation.from_rotvec([0.0, 0.0, np.radians(rng.uniform(-2.0, 2.0))])
+    moved = RigidTransform.from_components([x_mm, y_mm, 0.0], turned)
+    shots = tuple(replace(s, on_table=(s.on_table[0].moved(moved), *s.on_table[1:])) for s in capture.shots)
+    return replace(capture, shots=shots)

@@ -1,0 +1,106 @@
+"""The whole reproduction: render what is missing, process, compare; everything that is done is kept in the folder."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TypeVar
+
+from rotaline.errors import CalibrationError, DetectionError, GeometryError, MeasurementError
+from rotaline.io.report.reproduction import Reproduction, ReproductionInfo
+from rotaline.io.rig_file import parse_rig
+from rotaline.pipeline.observer import Observer
+from rotaline.pipeline.options import Options
+from rotaline.pipeline.reproduce.article import ARTICLE_OPTIONS
+from rotaline.pipeline.reproduce.experiments import (
+    calibrate_all,
+    initial_axis_section,
+    mounts_section,
+    sensor_section,
+    simulation_section,
+)
+from rotaline.pipeline.reproduce.measured import claims_table, disturbed_table, parts_section, stepped_table
+from rotaline.pipeline.reproduce.plan import FULL, QUICK, session_plans
+from rotaline.pipeline.reproduce.rows import RULE, changed_options
+from rotaline.pipeline.reproduce.sessions import joined, render_session
+from rotaline.pipeline.reproduce.workbench import Workbench
+from rotaline.pipeline.store import check_writable, key_of
+from rotaline.pipeline.summary import machine, versions
+
+T = TypeVar("T")
+
+
+def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: int = 1) -> Reproduction:
+    """Do the article's experiments with a rendered rig.
+
+    Parameters
+    ----------
+    folder : Path   sessions and stages are kept in it; a second call goes on where the first one stopped
+    observer : Observer
+    quick : bool   smaller images and fewer frames
+    seed : int   of poses, mounts and noise
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written.
+    """
+    start = time.perf_counter()
+    check_writable(folder)
+    effort = QUICK if quick else FULL
+    rig_file = parse_rig(effort.rig_toml, "preset article")
+    rig = rig_file.rig()
+    plans = session_plans(rig_file, effort, seed)
+    key = key_of(effort, seed)
+    sessions = {
+        name: render_session(folder / "sessions", name, rig, plan, key, observer) for name, plan in plans.items()
+    }
+    bench = Workbench(joined(sessions), folder / "stages", observer)
+    attempts = _Attempts(observer, [])
+    found = attempts.do("Calibration", lambda: calibrate_all(bench))
+    sensor = attempts.do("Section 5.2", lambda: sensor_section(bench, rig))
+    initial = mounts = stepped = disturbed = parts = None
+    if found is not None:
+        initial = attempts.do("Section 5.3", lambda: initial_axis_section(bench, rig, found))
+        mounts = attempts.do("Section 5.5", lambda: mounts_section(bench, rig, found))
+        stepped = attempts.do("Table 2", lambda: stepped_table(bench, found))
+        disturbed = attempts.do("Table 2, disturbed", lambda: disturbed_table(bench, found, rig))
+        parts = attempts.do("Tables 3 to 5", lambda: parts_section(bench, found))
+    simulation = simulation_section()
+    claims = claims_table(sensor, mounts.table if mounts else None, stepped, disturbed, parts)
+    bench.tidy()
+    info = ReproductionInfo(
+        quick=quick,
+        rig="article",
+        image_size=rig.camera.image_size,
+        seeds={"poses, mounts and noise": seed},
+        rule=RULE,
+        changed_options=changed_options(ARTICLE_OPTIONS, Options()),
+        finished_at=datetime.now().astimezone().isoformat(timespec="seconds"),
+        seconds=time.perf_counter() - start,
+        versions=versions(),
+        machine=machine(),
+        n_frames=sum(plan.n_frames for plan in plans.values()),
+        warnings=tuple(attempts.failures),
+    )
+    return Reproduction(
+        info, claims, sensor, initial, simulation, mounts, stepped, disturbed, parts, complex_parts=None, budget=None
+    )
+
+
+@dataclass(frozen=True)
+class _Attempts:
+    """Does one section after another; one that fails is named in ``failures``, and the others go on."""
+
+    observer: Observer
+    failures: list[str]
+
+    def do(self, title: str, compute: Callable[[], T]) -> T | None:
+        self.observer.stage(title, stored=False)
+        try:
+            return compute()
+        except (CalibrationError, DetectionError, GeometryError, MeasurementError) as error:
+            self.failures.append(f"{title}: {error}")
+            self.observer.warning(self.failures[-1])
+            return None

@@ -1,0 +1,66 @@
+"""Rendering the experiments' sessions, those that are not there yet, and reading them as one."""
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from rotaline.errors import OutputError
+from rotaline.io.files import output_error, whole_file
+from rotaline.io.session import Session, read_session
+from rotaline.pipeline.observer import Observer
+from rotaline.pipeline.store import key_of
+from rotaline.simulation.plan import SessionPlan
+from rotaline.simulation.rig import Rig
+from rotaline.simulation.session import truth_path, write_session
+
+
+def render_session(folder: Path, name: str, rig: Rig, plan: SessionPlan, key: str, observer: Observer) -> Session:
+    """The session ``folder/name``, rendered unless it is there with the same key.
+
+    Parameters
+    ----------
+    key : str   of everything that the session depends on beside rig and program, such as seed and numbers of frames
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    path, key_file = folder / name, folder / f"{name}.key"
+    wanted = key_of(name, key, rig)
+    stored = path.is_dir() and key_file.is_file() and key_file.read_text(encoding="utf-8") == wanted
+    observer.stage(f"Rendering {name}", stored)
+    if not stored:
+        _remove(path)
+        with observer.work("frames", plan.n_frames) as count:
+            write_session(path, rig, plan, count)
+        with whole_file(key_file) as temporary:
+            temporary.write_text(wanted, encoding="utf-8")
+    return read_session(path)
+
+
+def _remove(path: Path) -> None:
+    try:
+        if path.is_dir():
+            shutil.rmtree(path)
+        truth_path(path).unlink(missing_ok=True)
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def joined(sessions: Mapping[str, Session]) -> Session:
+    """All captures of several sessions of one rig as one session.
+
+    Raises
+    ------
+    OutputError
+        If two sessions use the same name for a capture.
+    """
+    first = next(iter(sessions.values()))
+    captures = tuple(capture for session in sessions.values() for capture in session.captures)
+    names = [capture.folder for capture in captures]
+    if len(set(names)) < len(names):
+        raise OutputError(f"{first.path.parent}: captures of the same name in several sessions: {sorted(names)}.")
+    targets = {name: target for session in sessions.values() for name, target in session.targets.items()}
+    return replace(first, targets=targets, captures=captures, measurements=())
