@@ -4,6 +4,7 @@ import dataclasses
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Literal
 
 from matplotlib.figure import Figure
@@ -30,11 +31,12 @@ class Picture:
 
 @dataclass(frozen=True)
 class Column:
-    """A table column; ``unit`` stands below the label; numbers are right-aligned."""
+    """A table column; ``unit`` stands below the label; numbers are right-aligned; neighbours of one ``group`` share a title above."""
 
     label: str
     unit: str = ""
     numeric: bool = True
+    group: str = ""
 
 
 @dataclass(frozen=True)
@@ -42,11 +44,13 @@ class Row:
     """Cells as text.
 
     ``kind``: ``continued`` belongs to the row above, ``dim`` was left out, ``total`` sums up; a ``failed`` row has a text
-    instead of numbers: its last cell runs to the end of the row.
+    instead of numbers: its last cell runs to the end of the row. ``marks``: for each
+    cell "better", "equal" or "worse" than a reference; anything else, or no marks at all, where there is nothing to say.
     """
 
     cells: tuple[str, ...]
     kind: Literal["plain", "continued", "dim", "total", "failed"] = "plain"
+    marks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,11 @@ class Table:
     note: str = ""
     stacks: int = 1
     number: int = 0
+
+    def column_groups(self) -> list[tuple[str, int]]:
+        """Titles above the columns, each with the number of columns that it spans."""
+        runs = groupby(column.group for column in self.columns)
+        return [(title, len(list(columns))) for title, columns in runs]
 
 
 @dataclass(frozen=True)

@@ -93,13 +93,51 @@ def render_points(
 
 
 def render_mesh(
-    vertices: Float[np.ndarray, "v 3"], triangles: Int[np.ndarray, "t 3"], views: Sequence[View]
+    vertices: Float[np.ndarray, "v 3"],
+    triangles: Int[np.ndarray, "t 3"],
+    views: Sequence[View],
+    colours: Float[np.ndarray, "v 3"] | None = None,
 ) -> list[UInt8[np.ndarray, "h w 3"]]:
-    """Draw a mesh from several views with smooth shading; faces seen from their inner side are brownish."""
+    """Draw a mesh from several views with smooth shading.
+
+    Without ``colours`` (of the vertices, 0 to 1), the outside is blue-grey and faces seen from their inner side are brownish. With
+    them, the light is softer, so that a colour can be found in its scale.
+    """
     finite = np.isfinite(vertices).all(axis=1)
     faces = triangles[finite[triangles].all(axis=1)]
     normals, face_normals = _normals(vertices, faces)
-    return [_render_mesh(vertices, faces, normals, face_normals, view) for view in views]
+    return [_render_mesh(vertices, faces, normals, face_normals, view, colours) for view in views]
+
+
+def picture_position(points: Float[np.ndarray, "n 3"], view: View) -> Float[np.ndarray, "n 3"]:
+    """Column and row in the finished picture (px, pixel centres at whole numbers) and depth (mm, larger is nearer)."""
+    right_up_near = (points - view.centre) @ view.rotation.T
+    return np.stack(
+        [
+            right_up_near[:, 0] / view.mm_per_px + view.size_px[0] / 2 - 0.5,
+            view.size_px[1] / 2 - 0.5 - right_up_near[:, 1] / view.mm_per_px,
+            right_up_near[:, 2],
+        ],
+        axis=1,
+    )
+
+
+def hidden(
+    points: Float[np.ndarray, "n 3"],
+    vertices: Float[np.ndarray, "v 3"],
+    view: View,
+    reach_mm: float = 0.8,
+    behind_mm: float = 1.5,
+) -> Bool[np.ndarray, " n"]:
+    """Which points a dense mesh hides: a vertex within ``reach_mm`` beside the point is ``behind_mm`` nearer to the viewer."""
+    at, mesh = ((p - view.centre) @ view.rotation.T for p in (points, vertices))
+    return np.array(
+        [
+            bool((mesh[np.hypot(mesh[:, 0] - x, mesh[:, 1] - y) < reach_mm, 2] > near + behind_mm).any())
+            for x, y, near in at
+        ],
+        dtype=bool,
+    )
 
 
 def _render_mesh(
@@ -108,6 +146,7 @@ def _render_mesh(
     normals: Float[np.ndarray, "v 3"],
     face_normals: Float[np.ndarray, "t 3"],
     view: View,
+    colours: Float[np.ndarray, "v 3"] | None,
 ) -> UInt8[np.ndarray, "h w 3"]:
     xyz, width, height = _to_pixels(vertices, view)
     buffer = np.full(width * height, _EMPTY, dtype=np.int64)
@@ -125,7 +164,11 @@ def _render_mesh(
     depth[seen] = np.einsum("ij,ij->i", weights, depths[which])
     n = np.einsum("ij,ijk->ik", weights, normals[faces[which]]) @ view.rotation.T
     colour = np.zeros((width * height, 3))
-    colour[seen] = _shade(n, face_normals[which] @ view.rotation[2] < 0.0)
+    if colours is None:
+        inner = face_normals[which] @ view.rotation[2] < 0.0
+        colour[seen] = _shade(n, np.where(inner[:, None], _BACK, _FRONT), softness=0.0)
+    else:
+        colour[seen] = _shade(n, np.einsum("ij,ijk->ik", weights, colours[faces[which]]), softness=0.6)
     dark = _edge_darkening(depth.reshape(height, width), strength=0.35).reshape(-1)
     return _finish(colour * dark[:, None], buffer != _EMPTY, width, height)
 
@@ -231,16 +274,22 @@ def _normals(
     return normals, face_normals
 
 
-def _shade(normals: Float[np.ndarray, "n 3"], inner: Bool[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-    """Lambert shading with a key light, a fill light and a faint highlight; normals in the frame of the view."""
+def _shade(
+    normals: Float[np.ndarray, "n 3"], base: Float[np.ndarray, "n 3"], softness: float
+) -> Float[np.ndarray, "n 3"]:
+    """Lambert shading with a key light, a fill light and a faint highlight; normals in the frame of the view.
+
+    ``softness`` between 0 and 1 is the share of the light that comes from everywhere.
+    """
     n = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     n = np.where(n[:, 2:] < 0.0, -n, n)
     key = np.clip(n @ _unit(-0.45, 0.55, 0.75), 0.0, None)
     fill = np.clip(n @ _unit(0.7, -0.1, 0.6), 0.0, None)
     shine = np.clip(n @ _unit(-0.25, 0.3, 0.95), 0.0, None) ** 30
     light = 0.26 + 0.66 * key + 0.22 * fill
-    base = np.where(inner[:, None], _BACK, _FRONT)
-    return np.asarray(np.clip(base * light[:, None] + 0.12 * shine[:, None], 0.0, 1.0))
+    light = softness + (1.0 - softness) * light
+    shine *= 0.12 * (1.0 - softness)
+    return np.asarray(np.clip(base * light[:, None] + shine[:, None], 0.0, 1.0))
 
 
 def _unit(x: float, y: float, z: float) -> Float[np.ndarray, "3"]:

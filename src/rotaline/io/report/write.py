@@ -2,12 +2,10 @@
 
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from markupsafe import Markup
-
 from rotaline.io.files import whole_file
 from rotaline.io.report.contents import ReportContents, StageWarning
 from rotaline.io.report.page import Section, finished
+from rotaline.io.report.render import render_template
 from rotaline.io.report.sections import artifact, axis, camera, laser_plane, parts, results, run, session
 from rotaline.io.report.warnings import collect_warnings, grouped
 
@@ -33,19 +31,10 @@ def write_report(contents: ReportContents, path: Path) -> None:
 def render_report(contents: ReportContents) -> str:
     """The report as HTML text."""
     warnings = collect_warnings(contents)
-    environment = Environment(
-        loader=PackageLoader("rotaline.io.report", "templates"),
-        autoescape=select_autoescape(default=True, default_for_string=True),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    loader = environment.loader
-    assert loader is not None
-    style = Markup(loader.get_source(environment, "report.css")[0])
-    return environment.get_template("report.html.jinja").render(
+    return render_template(
+        "report.html.jinja",
+        ("report.css",),
         run=contents.run,
-        style=style,
         serious=grouped(w for w in warnings if w.serious),
         ordinary=grouped(w for w in warnings if not w.serious),
         key_figures=results.key_figures(contents),

@@ -1,4 +1,4 @@
-"""Plausible contents of a report, made without any estimator: a rig, its stages and three parts."""
+"""Plausible contents of a report and of a reproduced article, made without any estimator."""
 
 import dataclasses
 
@@ -29,6 +29,26 @@ from rotaline.io.report.contents import (
     RunInfo,
     StageWarning,
     SurfaceSummary,
+)
+from rotaline.io.report.reproduction import (
+    AxisCase,
+    Budget,
+    BudgetLevel,
+    BudgetSource,
+    Comparison,
+    ComparisonTable,
+    ComplexPartResult,
+    ComplexPartsSection,
+    DetailResult,
+    InitialAxisSection,
+    MountResult,
+    MountsSection,
+    PartsSection,
+    Reproduction,
+    ReproductionInfo,
+    SensorSection,
+    SimulationSection,
+    TableRow,
 )
 from rotaline.io.results import MeasurementEntry
 from rotaline.metrology.model import FeatureMeasurement
@@ -462,3 +482,227 @@ def bare_contents(full_contents: ReportContents) -> ReportContents:
         fitted_points=(),
         artifacts={},
     )
+
+
+def _comparison(quantity: str, article: float | None, faithful: float, default: float, **more) -> Comparison:
+    def verdict(ours: float) -> str:
+        if article is None:
+            return "none"
+        return "better" if ours < 0.8 * article else "equal" if ours <= 1.2 * article else "worse"
+
+    settings = {"unit": "mm"} | more
+    unit = settings.pop("unit")
+    return Comparison(quantity, unit, article, faithful, default, verdict(faithful), verdict(default), **settings)
+
+
+def _table(place: str, title: str, columns: tuple[str, ...], n: int, rng: np.random.Generator) -> ComparisonTable:
+    """A table whose figures of ours are between 0.3 and 1.6 of the article's."""
+    rows = []
+    for i in range(n):
+        theirs = rng.uniform(0.005, 0.4, len(columns))
+        cells = tuple(
+            _comparison(
+                name.split(" / ")[0], float(t), float(t * rng.uniform(0.3, 1.6)), float(t * rng.uniform(0.3, 1.3))
+            )
+            for name, t in zip(columns, theirs, strict=True)
+        )
+        rows.append(TableRow(f"W{i + 1}" if i < n - 1 else "Average", cells))
+    return ComparisonTable(place, title, columns, tuple(rows), "Errors against the true diameters.")
+
+
+def _complex_part(rng: np.random.Generator, name: str, title: str) -> ComplexPartResult:
+    vertices, triangles = tube_mesh(220, 90)
+    radii = np.hypot(vertices[:, 0], vertices[:, 1])
+    deviation = 0.02 * np.sin(vertices[:, 2] / 3) * (radii / 18) + rng.normal(0, 0.004, len(vertices))
+    deviation[vertices[:, 2] < 1.0] = np.nan
+    details = []
+    for i, azimuth in enumerate((20.0, 120.0, 250.0)):
+        direction = np.array([np.cos(np.deg2rad(azimuth)), np.sin(np.deg2rad(azimuth)), 0.0])
+        at = vertices[np.argmax(vertices @ direction - 0.3 * np.abs(vertices[:, 2] - 10.0 - 12.0 * i))]
+        details.append(
+            DetailResult(f"bump {i + 1}", at, direction, 1.0, 0.5, 0.46 - 0.2 * i, 0.013, i < 2, "a small sphere")
+        )
+    photo = np.full((240, 320, 3), 12, np.uint8)
+    photo[60:200, 110:210] = 90
+    pick = rng.choice(len(vertices), 9000, replace=False)
+    return ComplexPartResult(
+        name,
+        title,
+        photo,
+        vertices[pick],
+        181234,
+        vertices,
+        triangles,
+        deviation,
+        0.0141,
+        0.0312,
+        0.963,
+        tuple(details),
+    )
+
+
+def make_budget() -> Budget:
+    titles = {
+        "mean_distance": "mean distance after",
+        "diameter": "diameter error after",
+        "ball": "ball, diameter error",
+        "groove": "groove, depth error",
+    }
+    article = {"mean_distance": 0.011, "diameter": 0.0289}
+    names = (
+        ("readout_noise", "Read-out noise", "deg"),
+        ("eccentricity", "Read-out eccentricity", "deg"),
+        ("run_out", "Run-out", "mm"),
+        ("speckle", "Speckle contrast", ""),
+        ("pitch", "Pitch of the target", "%"),
+    )
+    sources = []
+    for i, (key, title, of) in enumerate(names):
+        levels = tuple(
+            BudgetLevel(
+                s,
+                {
+                    k: 0.002 + s * (i + 1) * (0.3 + 0.2 * j) if (i, j) != (2, 3) else float("nan")
+                    for j, k in enumerate(titles)
+                },
+            )
+            for s in (0.0, 0.005, 0.01, 0.02)
+        )
+        meets = (0.011 - 0.002) / ((i + 1) * 0.3)
+        sources.append(
+            BudgetSource(
+                key,
+                title,
+                of,
+                i > 2,
+                levels,
+                {"mean_distance": meets if meets <= 0.02 else None, "diameter": None},
+                "rises evenly",
+            )
+        )
+    return Budget(titles, article, tuple(sources), "All errors are off but the one that is varied.")
+
+
+def make_reproduction(contents: ReportContents) -> Reproduction:
+    """Every section filled; figures are made up."""
+    rng = np.random.default_rng(5)
+    axis, artifact = contents.axis, contents.artifact
+    claims = ComparisonTable(
+        "Abstract and conclusions",
+        "Claims",
+        ("",),
+        tuple(
+            TableRow(f"{c.quantity} / {c.unit}", (c,))
+            for c in (
+                _comparison("interval RMSE after", 0.003, 0.0029, 0.0019),
+                _comparison(
+                    "largest relative error", 0.1458, 0.031, 0.02, unit="%", note="of ball, cylinder and groove"
+                ),
+                _comparison("mean distance after", 0.012, 0.019, 0.0051),
+            )
+        ),
+        "The abstract claims a reduction by more than 90 %.",
+    )
+    stepped_columns = tuple(
+        f"{which} cylinder, {what}"
+        for which in ("small", "large")
+        for what in ("error before / mm", "error after / mm")
+    )
+    parts = tuple(
+        _table(f"Table {i}", name, ("diameter / mm", "error / mm"), 6, rng)
+        for i, name in ((3, "Ceramic ball"), (4, "Cylinder"), (5, "Groove"))
+    )
+    mounts = tuple(
+        MountResult(
+            f"W{i + 1}",
+            dataclasses.replace(artifact, history_mm=np.geomspace(0.2 + 0.1 * i, 0.0112 + 0.0002 * i, 20 + 3 * i)),
+            0.21 + 0.03 * i,
+            0.006 + 0.001 * i,
+        )
+        for i in range(5)
+    )
+    cases = tuple(
+        AxisCase(
+            f"T{i + 1}", (-0.3, -0.2, -0.1), (0.3, 0.2, 0.1), 0.2, 3e-7, 28, True, 4e-7,
+            np.geomspace(0.2 + 0.05 * i, 3e-7, 29), 2e-14, 9, 3e-14, np.geomspace(0.2 + 0.05 * i, 2e-14, 10),
+        )
+        for i in range(5)
+    )  # fmt: skip
+    simulated = ComparisonTable(
+        "Section 5.4, table 1 and figure 12",
+        "Disturbed axes, exact feature points",
+        ("mean distance before / mm", "mean distance after / mm"),
+        tuple(
+            TableRow(
+                c.name,
+                (
+                    Comparison("before", "mm", None, 0.2, 0.2, digits=3),
+                    _comparison("after", 2.278e-7, 3e-7, 2e-14, digits=None),
+                ),
+            )
+            for c in cases
+        ),
+    )
+    sensor = ComparisonTable(
+        "Section 5.2, figure 8",
+        "Camera and laser plane",
+        ("",),
+        (
+            TableRow("interval RMSE before / mm", (_comparison("interval RMSE before", 0.021, 0.0206, 0.0206),)),
+            TableRow("interval RMSE after / mm", (_comparison("interval RMSE after", 0.003, 0.0028, 0.0019),)),
+        ),
+    )
+    return Reproduction(
+        info=ReproductionInfo(
+            True,
+            "article",
+            (1280, 960),
+            {"frames": 7, "noise": 11},
+            "A figure is equal to the article's if it lies within 20 % of it.",
+            {"artifact.method": ("sqp", "joint"), "axis.method": ("circles", "images")},
+            "2026-03-14 15:09:26 +0100",
+            754.2,
+            {"rotaline": "0.1.0", "python": "3.11.9"},
+            "Linux x86_64, 2 cores",
+            1834,
+            ("W3 is only 1.2 mm off centre.",),
+        ),
+        claims=claims,
+        sensor=SensorSection(
+            sensor,
+            contents.camera,
+            contents.laser_plane,
+            contents.cross_ratio,
+            contents.laser_plane,
+            contents.cross_ratio,
+        ),
+        initial_axis=InitialAxisSection(
+            _table("Section 5.3", "Initial axis", ("off the true axis / mm", "corners off / mm"), 6, rng),
+            tuple(o for o in contents.overlays if o.stage == "axis")[:3],
+            axis,
+            Line(AXIS.point + np.array([0.03, 0.0, -0.02]), unit(AXIS.direction + np.array([1e-3, 0.0, 4e-4]))),
+        ),
+        simulation=SimulationSection(simulated, cases),
+        mounts=MountsSection(
+            _table("Section 5.5", "Feature points", ("mean distance before / mm", "mean distance after / mm"), 6, rng),
+            ARTIFACT,
+            mounts,
+            artifact,
+            0.0021,
+            tuple(o for o in contents.overlays if o.stage == "laser-plane"),
+        ),
+        stepped=_table("Table 2", "Diameter errors", stepped_columns, 6, rng),
+        stepped_disturbed=_table("Table 2, disturbed", "From a poor initial axis", stepped_columns, 6, rng),
+        parts=PartsSection(parts, contents.measurements[:5], contents.fitted_points),
+        complex_parts=ComplexPartsSection(
+            "A detail is resolved if its height is measured within 20 %.",
+            (_complex_part(rng, "thread", "pipe connector with a thread"),),
+        ),
+        budget=make_budget(),
+    )
+
+
+@pytest.fixture(scope="session")
+def full_reproduction(full_contents: ReportContents) -> Reproduction:
+    """The reproduced article with every section."""
+    return make_reproduction(full_contents)

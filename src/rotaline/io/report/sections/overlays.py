@@ -12,10 +12,11 @@ def overlay_blocks(contents: ReportContents, stage: str, capture: str = "") -> t
         for o in contents.overlays
         if o.stage == stage and (not capture or o.name == capture or o.name.startswith(f"{capture}/"))
     ]
-    return (Gallery(tuple(_overlay(o) for o in chosen)),) if chosen else ()
+    return (Gallery(tuple(overlay_picture(o) for o in chosen)),) if chosen else ()
 
 
-def _overlay(frame: FrameOverlay) -> Picture:
+def overlay_picture(frame: FrameOverlay) -> Picture:
+    """A frame with what was found in it; a dark one is brightened, and its caption says so."""
     caption = frame.caption if frame.caption.startswith(frame.name) else f"{frame.name}: {frame.caption}"
     if frames.brightened(frame.image)[1]:
         caption += " (picture brightened)"
