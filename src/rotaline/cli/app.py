@@ -1,7 +1,7 @@
 """The command ``rotaline``.
 
 Exit codes: 0 everything asked for was done; 1 a part of it could not be done, the rest was written; 2 wrong use or bad input
-(session, options, calibration file); 3 the data do not allow the calibration; 4 results cannot be written; 130 interrupted.
+(session, options, calibration file, rig); 3 the data do not allow the calibration; 4 results cannot be written; 130 interrupted.
 """
 
 import logging
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import typer
 
-from rotaline.cli import commands, compare, options_help, verify  # noqa: F401  (the commands register themselves)
+from rotaline.cli import commands, compare, options_help, simulate, verify  # noqa: F401  (the commands register themselves)
 from rotaline.cli.base import BAD_INPUT, INCOMPLETE, INTERRUPTED, NOT_POSSIBLE, NOT_WRITTEN, OK, app
 from rotaline.errors import (
     CalibrationError,
@@ -19,6 +19,7 @@ from rotaline.errors import (
     GeometryError,
     MeasurementError,
     OutputError,
+    RigError,
     RotalineError,
     SessionError,
 )
@@ -42,7 +43,7 @@ def main(argv: list[str] | None = None) -> int:
         return _fail("interrupted. What was finished is kept; start the same command again to go on.", INTERRUPTED)
     except OutputError as error:
         return _fail(str(error), NOT_WRITTEN)
-    except SessionError as error:
+    except (SessionError, RigError) as error:
         return _fail(str(error), BAD_INPUT)
     except (CalibrationError, DetectionError, GeometryError, MeasurementError) as error:
         return _fail(str(error), NOT_POSSIBLE)

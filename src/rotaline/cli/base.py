@@ -11,7 +11,7 @@ EXIT_CODES = """\b
 Exit codes:
   0    everything asked for was done
   1    a part could not be done (a feature not found, a frame missing); the rest was written
-  2    wrong use or bad input: session, options, calibration file
+  2    wrong use or bad input: session, options, calibration file, rig
   3    the data do not allow the calibration; the message says what to add
   4    results cannot be written: no space, no permission
   130  interrupted; the same command goes on where it stopped

@@ -31,7 +31,6 @@ from rotaline.simulation.plan import (
     CapturePlan,
     MeasurementPlan,
     SessionPlan,
-    Shot,
     axis_capture,
     camera_capture,
     laser_capture,
@@ -39,7 +38,6 @@ from rotaline.simulation.plan import (
     mount,
     scan_capture,
 )
-from rotaline.simulation.render import Placed
 from rotaline.simulation.rig import Laser, Light, Mechanics, Optics, Rig, Sensor
 from rotaline.simulation.shapes import Ball, GrooveBlock, Rod, Shape, SteppedRod
 from rotaline.vision.camera import CameraModel
@@ -259,14 +257,9 @@ def plan_of(tables: RigTables, rig: Rig, seed: int) -> SessionPlan:
     shapes = {name: shape_of(table) for name, table in tables.parts.items()}
     targets: dict[str, Target | SteppedCylinder] = {name: plate.target for name, plate in plates.items()}
     targets |= {name: shape.artifact for name, shape in shapes.items() if isinstance(shape, SteppedRod)}
-    captures = []
-    for index, capture in enumerate(tables.captures):
-        try:
-            captures.append(_capture_of(capture, rig, plates, shapes, seed + 1000 * index))
-        except ValueError as error:
-            raise RigError(f"captures[{index + 1}], folder '{capture.folder}': {error}") from error
+    captures = tuple(_capture_of(c, rig, plates, shapes, seed + 1000 * i) for i, c in enumerate(tables.captures))
     measurements = tuple(_measurement_of(m, tables, shapes) for m in tables.measurements)
-    return SessionPlan(targets, tuple(captures), measurements, tables.session.image_format, seed)
+    return SessionPlan(targets, captures, measurements, tables.session.image_format, seed)
 
 
 def _capture_of(
@@ -285,12 +278,10 @@ def _capture_of(
     if table.target is not None and table.role != "scan":
         plate, name = plates[table.target], table.target
         if table.role == "camera":
-            plan = camera_capture(rig, plate.target, name, table.views or 20, seed, table.folder)
-        elif table.role == "laser-plane":
-            plan = laser_capture(rig, plate.target, name, table.views or 10, seed, folder=table.folder)
-        else:
-            plan = axis_capture(rig, plate.target, name, angles_deg(table, seed), table.folder)
-        return _with_plate(plan, plate)
+            return camera_capture(rig, plate, name, views_of(table), seed, table.folder)
+        if table.role == "laser-plane":
+            return laser_capture(rig, plate, name, views_of(table), seed, folder=table.folder)
+        return axis_capture(rig, plate, name, angles_deg(table, seed), table.folder)
     assert table.part is not None
     plan = scan_capture(
         rig,
@@ -311,16 +302,14 @@ def _table_from_part(table: MountTable) -> RigidTransform:
     return mount(*table.position_mm, table.turn_deg, table.tilt_deg, table.tilt_towards_deg)
 
 
-def _with_plate(plan: CapturePlan, plate: Plate) -> CapturePlan:
-    """The same capture with the plate as it really is."""
+def views_of(table: CaptureTable) -> int:
+    """Number of poses of the target, stated or not."""
+    return table.views or (20 if table.role == "camera" else 10)
 
-    def real(placed: tuple[Placed, ...]) -> tuple[Placed, ...]:
-        return tuple(replace(p, shape=plate) if isinstance(p.shape, Plate) else p for p in placed)
 
-    def real_shot(shot: Shot) -> Shot:
-        return replace(shot, on_table=real(shot.on_table), held=real(shot.held))
-
-    return replace(plan, shots=tuple(real_shot(shot) for shot in plan.shots))
+def step_deg_of(table: CaptureTable) -> float:
+    """Step of the angle, stated or not; for captures without ``frames``."""
+    return table.step_deg or (2.0 if table.role == "axis" else 4.0)
 
 
 def angles_deg(table: CaptureTable, seed: int) -> tuple[float, ...]:
@@ -340,7 +329,7 @@ def angles_deg(table: CaptureTable, seed: int) -> tuple[float, ...]:
         count = table.frames
         step = span / (count if whole_turn else max(count - 1, 1))
     else:
-        step = float(np.copysign((2.0 if axis else 4.0) if table.step_deg is None else table.step_deg, span))
+        step = float(np.copysign(step_deg_of(table), span))
         count = int(np.floor(abs(span / step) + 1e-9)) + 1
         count -= whole_turn and abs(step * (count - 1)) > 360.0 - 1e-6
     steps = np.arange(count, dtype=float)

@@ -4,30 +4,30 @@ import csv
 import json
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rotaline.errors import OutputError
 from rotaline.geometry.primitives import SteppedCylinder
 from rotaline.simulation.plan import CapturePlan, SessionPlan, Shot, demo_plan, demo_rig, small_plan
 from rotaline.simulation.render import render_frame
 from rotaline.simulation.rig import Rig, build_rig
+from rotaline.simulation.truth import fingerprint, image_name, true_poses, truth, truth_path
 from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
 
 __all__ = ["build_rig", "demo_plan", "demo_rig", "session_toml", "small_plan", "truth", "truth_path", "write_session"]
 
 JPEG_QUALITY = 97
 
-
-def truth_path(session: Path) -> Path:
-    """Where the truth of a rendered session stands: beside it, never inside."""
-    return session.with_name(session.name + ".truth.json")
+_FINGERPRINT_FILE = "fingerprint"
+_UNFINISHED = ".part"
 
 
 def _target_fields(target: Target | SteppedCylinder) -> dict[str, Any]:
@@ -74,56 +74,16 @@ def session_toml(plan: SessionPlan) -> str:
     return "\n".join(lines)
 
 
-def truth(rig: Rig, plan: SessionPlan) -> dict[str, Any]:
-    """True values, with the names and frames of ``calibration.json``; what stood on the table in each capture."""
-    camera, axis, plane = rig.camera, rig.rotation_axis_camera, rig.laser_plane_camera
-    parts = {
-        capture.folder: [
-            {
-                "shape": type(placed.shape).__name__,
-                "sizes": placed.shape.sizes(),
-                "table_from_part": placed.frame_from_part.as_matrix().tolist(),
-            }
-            for placed in capture.shots[0].on_table
-        ]
-        for capture in plan.captures
-        if capture.shots and capture.shots[0].on_table
-    }
-    return {
-        "camera": {
-            "image_size": list(camera.image_size),
-            **{name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")},
-            "distortion": {name: getattr(camera, name) for name in ("k1", "k2", "p1", "p2")},
-        },
-        "laser_plane_camera": {"normal": plane.normal.tolist(), "offset": plane.offset},
-        "rotation_axis_camera": {"point": axis.point.tolist(), "direction": axis.direction.tolist()},
-        "turn_sense": rig.turn_sense,
-        "camera_from_base": rig.camera_from_base.as_matrix().tolist(),
-        "parts": parts,
-        "seed": plan.seed,
-    }
-
-
-def _render_shot(rig: Rig, shot: Shot, seed: tuple[int, ...]) -> np.ndarray:
-    base_from_table = rig.base_from_table(0.0 if shot.angle_deg is None else shot.angle_deg)
-    parts = [*shot.held, *(part.moved(base_from_table) for part in shot.on_table)]
-    return render_frame(
-        rig,
-        parts,
-        laser_on=shot.laser,
-        ambient_e_per_ms=shot.ambient_e_per_ms,
-        exposure_ms=shot.exposure_ms,
-        seed=seed,
-    )
-
-
 def _write_image(path: Path, image: np.ndarray) -> None:
+    """Write an image whole or not at all."""
     if path.suffix == ".jpg" and image.dtype != np.uint8:
         raise ValueError("JPEG holds 8 bit only; take another image format for a 16 bit sensor.")
     stored = image if image.ndim == 2 else image[:, :, ::-1]
     options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
     _, data = cv2.imencode(path.suffix, stored, options)
-    path.write_bytes(data.tobytes())
+    temporary = path.with_name(path.name + _UNFINISHED)
+    temporary.write_bytes(data.tobytes())
+    temporary.replace(path)
 
 
 def _write_frames_csv(path: Path, capture: CapturePlan, names: list[str]) -> None:
@@ -135,22 +95,111 @@ def _write_frames_csv(path: Path, capture: CapturePlan, names: list[str]) -> Non
             writer.writerow([name, angle, "on" if shot.laser else "off", shot.pose])
 
 
-def _write_into(folder: Path, rig: Rig, plan: SessionPlan, progress: Callable[[], None] | None) -> None:
+@dataclass(frozen=True)
+class Unfinished:
+    """A session whose rendering was interrupted: how many frames are there, and whether they are of the same rig and plan."""
+
+    n_frames: int
+    same: bool
+
+
+def partial_path(session: Path) -> Path:
+    """Where a session grows until it is complete: beside its place."""
+    return session.with_name(session.name + ".partial")
+
+
+def unfinished(path: Path, rig: Rig, plan: SessionPlan) -> Unfinished | None:
+    """What an interrupted :func:`write_session` has left; None: nothing.
+
+    Raises
+    ------
+    OutputError
+        If the session exists already, or something else stands in the place of the partial one.
+    """
+    if path.exists():
+        raise OutputError(f"{path}: exists already. Remove it or choose another folder for the rendered session.")
+    partial = partial_path(path)
+    if not partial.exists():
+        return None
+    try:
+        same = (partial / _FINGERPRINT_FILE).read_text(encoding="utf-8") == fingerprint(rig, plan)
+    except OSError as error:
+        raise OutputError(f"{partial}: this is no unfinished session. Remove it, or choose another folder.") from error
+    return Unfinished(sum(1 for _ in (partial / "session").rglob(f"*.{plan.image_format}")), same)
+
+
+def write_session(
+    path: Path,
+    rig: Rig,
+    plan: SessionPlan,
+    progress: Callable[[], None] | None = None,
+    *,
+    notes: Mapping[str, Any] | None = None,
+    threads: int | None = None,
+) -> None:
+    """Render a plan into a session folder; the truth goes into :func:`rotaline.simulation.truth.truth_path` beside it.
+
+    Until it is complete, the session stands in :func:`partial_path`. After an interruption the same call goes on with the first
+    frame that is missing; with another rig or plan it starts anew.
+
+    Parameters
+    ----------
+    path : Path   the session folder; must not exist yet
+    rig : Rig
+    plan : SessionPlan
+    progress : called after each of the plan's ``n_frames`` frames, and at once for those that are there already
+    notes : further entries of the truth, such as the text of the rig file
+    threads : frames that are rendered side by side; None: one for each processor. The images do not depend on it.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists already, or it cannot be written.
+    """
+    partial = partial_path(path)
+    try:
+        left = unfinished(path, rig, plan)
+        if left is not None and not left.same:
+            shutil.rmtree(partial)
+        session = partial / "session"
+        session.mkdir(parents=True, exist_ok=True)
+        (partial / _FINGERPRINT_FILE).write_text(fingerprint(rig, plan), encoding="utf-8")
+        _write_into(session, rig, plan, progress, threads or os.cpu_count() or 1)
+        truth_file = partial / "truth.json"
+        truth_file.write_text(json.dumps(truth(rig, plan) | dict(notes or {}), indent=1) + "\n", encoding="utf-8")
+        truth_file.replace(truth_path(path))
+        session.rename(path)
+        shutil.rmtree(partial)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: the session cannot be written ({error.strerror or error}). What was finished is kept; free some space, "
+            "or change the permissions, and start the same command again, or choose another place."
+        ) from error
+
+
+def _write_into(
+    folder: Path,
+    rig: Rig,
+    plan: SessionPlan,
+    progress: Callable[[], None] | None,
+    threads: int,
+) -> None:
     (folder / "session.toml").write_text(session_toml(plan), encoding="utf-8")
-    jobs = []
+    jobs, poses = [], true_poses(rig, plan)
     for c, capture in enumerate(plan.captures):
-        (folder / capture.folder).mkdir()
-        names = [f"{i:04d}.{plan.image_format}" for i in range(len(capture.shots))]
+        (folder / capture.folder).mkdir(exist_ok=True)
+        for left_over in (folder / capture.folder).glob(f"*{_UNFINISHED}"):
+            left_over.unlink()
+        names = [image_name(i, plan.image_format) for i in range(len(capture.shots))]
         _write_frames_csv(folder / capture.folder / "frames.csv", capture, names)
-        jobs += [
-            (folder / capture.folder / name, shot, (plan.seed, c, i))
-            for i, (name, shot) in enumerate(zip(names, capture.shots, strict=True))
-        ]
+        for i, (name, shot, pose) in enumerate(zip(names, capture.shots, poses[capture.folder], strict=True)):
+            jobs.append((folder / capture.folder / name, shot, pose, (plan.seed, c, i)))
 
-    def work(path: Path, shot: Shot, seed: tuple[int, ...]) -> None:
-        _write_image(path, _render_shot(rig, shot, seed))
+    def work(path: Path, shot: Shot, pose: RigidTransform, seed: tuple[int, ...]) -> None:
+        if not path.exists():
+            _write_image(path, _render_shot(rig, shot, pose, seed))
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         try:
             futures = [pool.submit(work, *job) for job in jobs]
             for future in as_completed(futures):
@@ -162,36 +211,12 @@ def _write_into(folder: Path, rig: Rig, plan: SessionPlan, progress: Callable[[]
             raise
 
 
-def write_session(path: Path, rig: Rig, plan: SessionPlan, progress: Callable[[], None] | None = None) -> None:
-    """Render a plan into a session folder; the truth goes into :func:`truth_path` beside it.
-
-    Everything is written under a temporary name first: an interrupted call leaves nothing behind.
-
-    Parameters
-    ----------
-    path : Path   the session folder; must not exist yet
-    rig : Rig
-    plan : SessionPlan
-    progress : called after each of the plan's ``n_frames`` frames
-
-    Raises
-    ------
-    OutputError
-        If the folder exists already, or it cannot be written.
-    """
-    if path.exists():
-        raise OutputError(f"{path}: exists already. Remove it or choose another folder for the rendered session.")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent, ignore_cleanup_errors=True) as name:
-            session, truth_file = Path(name) / "session", Path(name) / "truth.json"
-            session.mkdir()
-            _write_into(session, rig, plan, progress)
-            truth_file.write_text(json.dumps(truth(rig, plan), indent=1) + "\n", encoding="utf-8")
-            shutil.move(truth_file, truth_path(path))
-            session.rename(path)
-    except OSError as error:
-        raise OutputError(
-            f"{path}: the session cannot be written ({error.strerror or error}). "
-            "Free some space, change the permissions, or choose another place."
-        ) from error
+def _render_shot(rig: Rig, shot: Shot, base_from_table: RigidTransform, seed: tuple[int, ...]) -> np.ndarray:
+    return render_frame(
+        rig,
+        [*shot.held, *(part.moved(base_from_table) for part in shot.on_table)],
+        laser_on=shot.laser,
+        ambient_e_per_ms=shot.ambient_e_per_ms,
+        exposure_ms=shot.exposure_ms,
+        seed=seed,
+    )
