@@ -120,6 +120,11 @@ class Plate:
         x0, x1, y0, y1 = self.extent
         return np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
 
+    def print_corners_board(self) -> Float[np.ndarray, "4 3"]:
+        """The corners of the print: of a checkerboard's squares, or one pitch beyond the dots, mm, board frame."""
+        xy = self.corners_board()[:, :2] - self.margin * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        return np.column_stack([xy, self.heights(xy)])
+
     def bounds(self) -> Float[np.ndarray, "2 3"]:
         """See :class:`rotaline.simulation.shapes.Shape`."""
         x0, x1, y0, y1 = self.extent

@@ -1,6 +1,6 @@
 """Where a plate is held so that a camera, a laser sheet and a turntable can be calibrated with it.
 
-A pose is drawn at random, moved to where the image has room for it, and taken if the plate is wholly in view, sharp, and seen
+A pose is drawn at random, moved to where the image has room for it, and taken if the print is wholly in view, sharp, and seen
 and lit from the front. ChArUco boards may be partly out of view: their corners have numbers.
 """
 
@@ -20,7 +20,7 @@ from rotaline.vision.targets.model import CharucoBoard
 
 V = TypeVar("V")
 
-_ATTEMPTS = 100
+_ATTEMPTS = 80
 """Poses drawn before the next distance is tried, for each pose that is wanted."""
 
 _DISTANCES = tuple(float(1.08**k) for k in range(10))
@@ -66,7 +66,8 @@ def is_sharp(rig: Rig, plate: Plate, depths_mm: Float[np.ndarray, " n"]) -> Bool
 
 
 def _is_visible(rig: Rig, plate: Plate, camera_from_board: RigidTransform) -> bool:
-    corners = camera_from_board.apply(plate.corners_board())
+    # the white rim around the print may be cut off
+    corners = camera_from_board.apply(plate.print_corners_board())
     if np.any(corners[:, 2] <= 0) or not np.all(is_sharp(rig, plate, corners[:, 2])):
         return False
     margin_px = 0.013 * min(rig.camera.image_size)
@@ -261,16 +262,16 @@ def axis_pose(rig: Rig, plate: Plate, angles_deg: tuple[float, ...], what: str) 
     camera_base = np.asarray(rig.camera_from_base.inv().translation)
     azimuth = float(np.arctan2(camera_base[1], camera_base[0]))
     elevation_deg = float(np.degrees(np.arcsin(camera_base[2] / np.linalg.norm(camera_base))))
-    x0, x1, y0, y1 = plate.extent
     middle = rig.base_from_table((min(angles_deg) + max(angles_deg)) / 2)
     turns = [rig.camera_from_base * rig.base_from_table(angle) * middle.inv() for angle in angles_deg]
 
     def standing(nearer_mm: float, lean_deg: float, turned: bool, raised_mm: float) -> RigidTransform:
         lean = np.radians(lean_deg)
         front = np.array([np.cos(azimuth) * np.cos(lean), np.sin(azimuth) * np.cos(lean), np.sin(lean)])
-        height = ((x1 - x0) if turned else (y1 - y0)) * np.cos(lean)
-        centre = np.array([nearer_mm * np.cos(azimuth), nearer_mm * np.sin(azimuth), height / 2 + 0.5 + raised_mm])
-        return _board_at(centre, _facing(front, np.array([0.0, 0.0, 1.0]), 0.03 + turned * np.pi / 2), plate)
+        rotation = _facing(front, np.array([0.0, 0.0, 1.0]), 0.03 + turned * np.pi / 2)
+        lowest = _board_at(np.zeros(3), rotation, plate).apply(plate.corners_board())[:, 2].min()
+        centre = np.array([nearer_mm * np.cos(azimuth), nearer_mm * np.sin(azimuth), raised_mm + 0.2 - lowest])
+        return _board_at(centre, rotation, plate)
 
     def in_view(camera_from_board: RigidTransform) -> bool:
         front = -camera_from_board.rotation.as_matrix()[:, 2]
