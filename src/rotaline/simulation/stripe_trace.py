@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from rotaline.simulation.laser_light import reflected, sheet_light, sheet_sigma_mm
 from rotaline.simulation.render import Placed
 from rotaline.simulation.rig import Laser, Rig
 from rotaline.vision.camera import CameraModel
@@ -102,6 +103,7 @@ class _Scene:
         self.eye = np.asarray(rig.camera_from_base.inv().translation)
         self.camera_rotation = rig.camera_from_base.rotation.as_matrix()
         self.min_intensity_dn = min_intensity_dn
+        self.peak_dn = rig.laser.peak_e_per_ms * rig.light.exposure_on_ms / rig.sensor.electrons_per_dn
 
     def first_hit(
         self, origin_base: Float[np.ndarray, "3"], directions_base: Float[np.ndarray, "n 3"]
@@ -132,53 +134,42 @@ class _Scene:
         t, part, faces = self.first_hit(laser.position_base, rays)
         with np.errstate(invalid="ignore"):
             points = np.where(part[:, None] >= 0, laser.position_base + t[:, None] * rays, np.nan)
-        normals, albedo = np.full((n, 3), np.nan), np.full(n, np.nan)
+        normals, light = np.full((n, 3), np.nan), np.zeros(n)
         for i, (shape, rotation, place) in enumerate(zip(self.shapes, self.rotations, self.origins, strict=True)):
             (here,) = np.nonzero(part == i)
             points_part = (points[here] - place) @ rotation
             normals[here] = shape.normals(points_part, faces[here]) @ rotation.T
-            albedo[here] = shape.albedo(points_part, faces[here])
+            albedo = shape.albedo(points_part, faces[here])
+            to_laser, to_eye = _unit_rows(-rays[here]), _unit_rows(self.eye - points[here])
+            light[here] = reflected(shape.material, albedo, normals[here], to_laser, to_eye)
 
         uv = self.project(points)
         width, height = self.rig.camera.image_size
-        length = np.sqrt(np.vecdot(rays, rays))
-        cos_lit = -np.vecdot(rays, normals) / length
-        cos_seen = np.vecdot(self.eye - points, normals)
         inside = (uv[:, 0] >= 0) & (uv[:, 0] <= width - 1) & (uv[:, 1] >= 0) & (uv[:, 1] <= height - 1)
-        seen = inside & (cos_lit > 0) & (cos_seen > 0)
+        seen = inside & (light > 0)
 
         normal, width_px, intensity = np.full((n, 2), np.nan), np.full(n, np.nan), np.zeros(n)
-        normal[seen], width_px[seen], share = self._profile(points[seen], normals[seen], t[seen] * length[seen])
-        intensity[seen] = self._peak_dn(t[seen] * length[seen]) * albedo[seen] * cos_lit[seen] * share
+        normal[seen], width_px[seen], share = self._profile(points[seen], normals[seen])
+        intensity[seen] = self.peak_dn * sheet_light(laser, points[seen]) * light[seen] * share
         seen &= (intensity > 0) & (intensity >= self.min_intensity_dn) & np.isfinite(width_px)
         view, _, _ = self.first_hit(self.eye, points[seen] - self.eye)
         seen[seen] = view > 1.0 - _SAME_POINT
         return _Points(angle_rad, points, normals, part, uv, normal, width_px, intensity, seen)
 
-    def _sheet_sigma_mm(self, distance_mm: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        laser = self.rig.laser
-        return np.hypot(laser.sigma_mm, laser.divergence_mrad * 1e-3 * (distance_mm - laser.waist_mm))
-
-    def _peak_dn(self, distance_mm: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Grey value of a white surface that faces the laser: the light spreads over the fan and over the sheet's width."""
-        rig, laser = self.rig, self.rig.laser
-        spread = laser.sigma_mm * laser.waist_mm / (self._sheet_sigma_mm(distance_mm) * distance_mm)
-        return laser.peak_e_per_ms * rig.light.exposure_on_ms / rig.sensor.electrons_per_dn * spread
-
     def _profile(
-        self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], distance_mm: Float[np.ndarray, " n"]
+        self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """The stripe's normal and width in the image, and the part of its height that the blur of the lens leaves."""
-        sheet_normal = self.rig.laser.plane_base.normal
+        laser = self.rig.laser
+        sheet_normal = laser.plane_base.normal
         with np.errstate(invalid="ignore", divide="ignore"):
-            along = np.cross(normals, sheet_normal)
-            along = along / np.sqrt(np.vecdot(along, along))[:, None]
+            along = _unit_rows(np.cross(normals, sheet_normal))
             across = np.cross(along, normals)
-            tangent = self._image_of(points, along)
-            tangent = tangent / np.linalg.norm(tangent, axis=1)[:, None]
+            tangent = _unit_rows(self._image_of(points, along))
             normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
             px_per_mm = (normal * self._image_of(points, across)).sum(axis=1) / (across @ sheet_normal)
-        sharp_px = np.abs(px_per_mm) * self._sheet_sigma_mm(distance_mm)
+        distance_mm = np.linalg.norm(points - laser.position_base, axis=1)
+        sharp_px = np.abs(px_per_mm) * sheet_sigma_mm(laser, distance_mm)
         depth_mm = (points - self.eye) @ self.camera_rotation[2]
         width_px = np.hypot(sharp_px, self.rig.optics.blur_px_at(depth_mm, self.rig.camera.fx))
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -188,6 +179,10 @@ class _Scene:
         """How the images of points move, px/mm."""
         step = _STEP_MM * motion
         return (self.project(points + step) - self.project(points - step)) / (2 * _STEP_MM)
+
+
+def _unit_rows(vectors: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
+    return np.asarray(vectors / np.sqrt(np.vecdot(vectors, vectors))[:, None])
 
 
 @lru_cache(maxsize=8)

@@ -46,7 +46,7 @@ def test_without_noise_the_centres_are_the_true_ones(scan):
 
 
 @given(sigma_px=st.floats(0.01, 0.5), seed=st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20, deadline=None, derandomize=True)
 def test_noise_is_along_the_normal_and_of_the_stated_size(dense, sigma_px, seed):
     along_normal, along_stripe = _shifts_px(dense, dense.observed(sigma_px, seed))
     n = len(along_normal)
