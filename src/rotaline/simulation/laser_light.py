@@ -89,7 +89,8 @@ def reflected(
     The diffuse part is ``albedo cos(incidence)``. The gloss is Ward's lobe in the form whose reflected energy never exceeds
     its weight [1]_: with ``h = l + v`` and ``delta`` the angle between ``h`` and the normal,
 
-    ``gloss / a^2 * exp(-tan(delta)^2 / a^2) * |h|^2 / (h . n)^4 * cos(incidence)``, ``a^2 = 2 tan(width)^2``.
+    ``gloss / a^2 * exp(-tan(delta)^2 / a^2) * |h|^2 / (h . n)^4 * cos(incidence)``, ``a^2 = 2 tan(width / 2)^2``:
+    the light that is mirrored turns by twice the angle that the surface does.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ def reflected(
     if material.gloss > 0:
         half = to_light + to_viewer
         along, square = np.maximum(cos_light + cos_viewer, 1e-9), dot_rows(half, half)
-        width = 2.0 * np.tan(np.radians(min(material.gloss_width_deg, 80.0))) ** 2
+        width = 2.0 * np.tan(np.radians(material.gloss_width_deg / 2.0)) ** 2
         tan_square = np.maximum(square / along**2 - 1.0, 0.0)
         light = albedo + material.gloss / width * np.exp(-tan_square / width) * square / along**4
     return np.where(lit, light * cos_light, 0.0)
