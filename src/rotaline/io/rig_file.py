@@ -2,19 +2,22 @@
 
 import re
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from rotaline.errors import RigError
-from rotaline.io.rig_tables import CaptureTable, PartTable, RigTables, TargetTable
+from rotaline.io.rig_tables import CaptureTable, MeasurementTable, MountTable, PartTable, RigTables, TargetTable
 from rotaline.io.rig_values import plan_of, rig_of, step_deg_of, views_of
 from rotaline.io.toml_file import Place, where
 from rotaline.simulation.plan import SessionPlan
 from rotaline.simulation.rig import Rig
+
+T = TypeVar("T")
 
 PRESETS = ("article",)
 
@@ -30,11 +33,13 @@ class RigFile:
     source : the file, or "preset NAME"
     text : of the file, as it was read
     tables : what it says, with what it takes from a preset
+    folder : where the files of meshes are
     """
 
     source: str
     text: str
     tables: RigTables
+    folder: Path = Path()
 
     def rig(self) -> Rig:
         """The rig to be rendered.
@@ -52,16 +57,16 @@ class RigFile:
         Raises
         ------
         RigError
-            If poses of a target do not fit into the view.
+            If a part or a target cannot be, or poses of a target do not fit into the view.
         """
         chosen = self.tables.session.seed if seed is None else seed
-        return self._named(lambda: plan_of(self.tables, self.rig(), chosen))
+        return self._named(lambda: plan_of(self.tables, rig_of(self.tables), chosen, self.folder))
 
-    def _named(self, make: Any) -> Any:
+    def _named(self, make: Callable[[], T]) -> T:
         try:
             return make()
-        except (RigError, ValueError) as error:
-            raise RigError(f"{self.source}: {str(error).removeprefix(self.source + ': ')}") from error
+        except RigError as error:
+            raise RigError(f"{self.source}: {error}") from error
 
 
 def preset_text(name: str) -> str:
@@ -105,7 +110,7 @@ def read_rig_file(path: Path) -> RigFile:
         ) from error
     except UnicodeDecodeError as error:
         raise RigError(f"{path}: the file is not UTF-8 text (byte {error.start}). Save it as UTF-8.") from error
-    return parse_rig(text, str(path))
+    return replace(parse_rig(text, str(path)), folder=path.parent)
 
 
 def parse_rig(text: str, source: str) -> RigFile:
@@ -149,7 +154,7 @@ def quick_look(file: RigFile) -> RigFile:
         }
     )
     captures = [_thinned(capture) for capture in file.tables.captures]
-    return RigFile(file.source, file.text, file.tables.model_copy(update={"camera": halved, "captures": captures}))
+    return replace(file, tables=file.tables.model_copy(update={"camera": halved, "captures": captures}))
 
 
 def _thinned(capture: CaptureTable) -> CaptureTable:
@@ -240,41 +245,44 @@ def _capture_contradictions(capture: CaptureTable, tables: RigTables) -> list[tu
 
 
 def _explain(source: str, text: str, error: dict[str, Any]) -> str:
-    kinds = [get_args(model.model_fields["kind"].annotation)[0] for model in _models_with_kinds()]
-    place: Place = tuple(
-        part
-        for i, part in enumerate(error["loc"])
-        if not (i == 2 and error["loc"][0] in ("targets", "parts") and part in kinds)
-    )
     kind, found, context = error["type"], error.get("input"), error.get("ctx", {})
+    loc = error["loc"]
+    with_kind = len(loc) > 2 and loc[0] in ("targets", "parts")
+    place: Place = (*loc[:2], *loc[3:]) if with_kind else tuple(loc)  # pydantic names the kind as well
     if kind == "missing" and isinstance(place[-1], int):
-        return f"{where(source, text, place[:-1])}: found {found!r}, expected more values."
+        return f"{where(source, text, place[:-1])}: the list is too short, a value is missing."
     if kind == "missing":
-        hint = ' Or begin with a preset: preset = "article".' if len(place) <= 2 else ""
+        hint = ' Or begin with a preset: preset = "article".' if len(place) == 1 else ""
         return f"{where(source, text, place[:-1], place[-1])}: it is missing; expected a value.{hint}"
     if kind == "extra_forbidden":
-        return f"{where(source, text, place)}: there is no such key; expected one of {', '.join(_keys_beside(place))}."
+        return f"{where(source, text, place)}: there is no such key; expected one of {', '.join(_known_keys(loc))}."
     if kind.startswith("union_tag"):
         tag = f"'{context['tag']}'" if "tag" in context else "nothing"
-        expected = str(context.get("expected_tags") or ", ".join(kinds)).replace("'", "")
+        expected = ", ".join(_kinds(str(loc[0])))
         return f"{where(source, text, (*place, 'kind'))}: found {tag}, expected one of {expected}."
     if kind == "literal_error":
-        return (
-            f"{where(source, text, place)}: found {found!r}, expected {str(context['expected']).replace(chr(39), '')}."
-        )
+        expected = str(context["expected"]).replace("'", "")
+        return f"{where(source, text, place)}: found {found!r}, expected {expected}."
     message = str(error["msg"])
     return f"{where(source, text, place)}: found {found!r}; {message[:1].lower()}{message[1:]}."
 
 
-def _models_with_kinds() -> list[Any]:
-    return [*get_args(get_args(TargetTable)[0]), *get_args(get_args(PartTable)[0])]
+def _kinds(group: str) -> dict[str, type[BaseModel]]:
+    """The tables that there are under ``targets`` or ``parts``, by kind."""
+    union = get_args({"targets": TargetTable, "parts": PartTable}[group])[0]
+    return {get_args(model.model_fields["kind"].annotation)[0]: model for model in get_args(union)}
 
 
-def _keys_beside(place: Place) -> list[str]:
+def _known_keys(loc: Place) -> list[str]:
     """The keys that there are, where an unknown one was found."""
-    model: Any = RigTables
-    for part in place[:-1]:
-        if isinstance(part, str) and part in getattr(model, "model_fields", {}):
-            model = model.model_fields[part].annotation
-            model = CaptureTable if place[0] == "captures" and model == list[CaptureTable] else model
-    return list(getattr(model, "model_fields", ())) or ["those of its kind, see the documentation of the rig file"]
+    group = str(loc[0])
+    tables: dict[str, type[BaseModel]] = {"captures": CaptureTable, "measurements": MeasurementTable}
+    if len(loc) == 1:
+        model: Any = RigTables
+    elif group in ("targets", "parts"):
+        model = _kinds(group)[str(loc[2])]
+    elif "mount" in loc[:-1]:
+        model = MountTable
+    else:
+        model = tables.get(group) or RigTables.model_fields[group].annotation
+    return list(model.model_fields)

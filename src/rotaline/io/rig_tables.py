@@ -180,16 +180,29 @@ class _PartTable(Table):
     albedo: Fraction = key(0.8, "share of the light that the surface scatters to all sides")
     gloss: Fraction = key(0.0, "weight of the reflection, 0: matt")
     gloss_width_deg: Annotated[float, Field(gt=0, le=90)] = key(8.0, "standard deviation of the reflection's direction")
+    roughness_um: NotNegative = key(1.0, "of the surface; a smooth one has less speckle")
 
 
-class SphereTable(_PartTable):
+class _ExactPartTable(_PartTable):
+    form_error_um: Annotated[float, Field(ge=0, le=1000)] = key(0.0, "largest deviation from the exact form")
+    form_error_lobes: Annotated[int, Field(ge=1, le=100)] = key(
+        3, "its waves round a round part, half waves along a flat one"
+    )
+    form_error_phase_deg: Number = key(0.0, "its phase")
+
+
+class _EdgedPartTable(_ExactPartTable):
+    chamfer_mm: NotNegative = key(0.0, "width of the chamfers on its convex edges, 45 deg")
+
+
+class SphereTable(_ExactPartTable):
     """A ball."""
 
     kind: Literal["sphere"] = key(..., '"sphere"')
     diameter_mm: Positive = key(..., "diameter")
 
 
-class CylinderTable(_PartTable):
+class CylinderTable(_EdgedPartTable):
     """An upright cylinder."""
 
     kind: Literal["cylinder"] = key(..., '"cylinder"')
@@ -197,7 +210,7 @@ class CylinderTable(_PartTable):
     height_mm: Positive = key(..., "height")
 
 
-class SteppedCylinderTable(_PartTable):
+class SteppedCylinderTable(_EdgedPartTable):
     """A small cylinder on a large one: the artefact that fixes the rotation axis."""
 
     kind: Literal["stepped-cylinder"] = key(..., '"stepped-cylinder"')
@@ -205,7 +218,7 @@ class SteppedCylinderTable(_PartTable):
     heights_mm: Lengths = key(..., "small (upper), large (lower)")
 
 
-class GrooveTable(_PartTable):
+class GrooveTable(_EdgedPartTable):
     """A block with a trapezoidal groove along y, open at the top and at both ends."""
 
     kind: Literal["groove"] = key(..., '"groove"')
@@ -217,8 +230,36 @@ class GrooveTable(_PartTable):
     height_mm: Positive = key(24.0, "of the block")
 
 
+class ConeTable(_EdgedPartTable):
+    """An upright cone or frustum."""
+
+    kind: Literal["cone"] = key(..., '"cone"')
+    diameter_bottom_mm: NotNegative = key(..., "diameter at the bottom")
+    diameter_top_mm: NotNegative = key(0.0, "diameter at the top; 0: an apex")
+    height_mm: Positive = key(..., "height")
+
+
+class BlockTable(_EdgedPartTable):
+    """A block or plate."""
+
+    kind: Literal["block"] = key(..., '"block"')
+    width_mm: Positive = key(..., "along x")
+    length_mm: Positive = key(..., "along y")
+    height_mm: Positive = key(..., "along z")
+
+
+class MeshTable(_PartTable):
+    """Any closed surface of triangles."""
+
+    kind: Literal["mesh"] = key(..., '"mesh"')
+    file: str = key(..., "STL, PLY or OBJ; relative to the rig file")
+    mm_per_unit: Positive = key(1.0, "of the file: 1000 for metres, 25.4 for inches")
+    stand: bool = key(True, "moved so that it stands in the middle of z = 0; false: as in the file")
+    fill_holes: bool = key(False, "close holes instead of refusing a mesh that has some")
+
+
 PartTable = Annotated[
-    SphereTable | CylinderTable | SteppedCylinderTable | GrooveTable,
+    SphereTable | CylinderTable | ConeTable | SteppedCylinderTable | GrooveTable | BlockTable | MeshTable,
     Field(discriminator="kind"),
 ]
 

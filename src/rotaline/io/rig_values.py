@@ -1,6 +1,9 @@
 """From the tables of a rig file to the values that are rendered: the rig, and the plan of a session."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -9,14 +12,16 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rotaline.errors import RigError
 from rotaline.geometry.primitives import Plane, SteppedCylinder, unit
 from rotaline.io.rig_tables import (
+    BlockTable,
     CameraTable,
     CaptureTable,
     CharucoTable,
     CheckerboardTable,
+    ConeTable,
     CylinderTable,
-    GrooveTable,
     LaserTable,
     MeasurementTable,
+    MeshTable,
     MountTable,
     PartTable,
     RigTables,
@@ -26,7 +31,9 @@ from rotaline.io.rig_tables import (
     TurntableTable,
 )
 from rotaline.simulation.boards import Plate
+from rotaline.simulation.form_error import FormError
 from rotaline.simulation.material import Material
+from rotaline.simulation.mesh_files import read_mesh_part
 from rotaline.simulation.plan import (
     CapturePlan,
     MeasurementPlan,
@@ -39,9 +46,13 @@ from rotaline.simulation.plan import (
     scan_capture,
 )
 from rotaline.simulation.rig import Laser, Light, Mechanics, Optics, Rig, Sensor
-from rotaline.simulation.shapes import Ball, GrooveBlock, Rod, Shape, SteppedRod
+from rotaline.simulation.shapes import Ball, Block, Cone, GrooveBlock, Rod, Shape, SteppedRod
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target
+
+T = TypeVar("T")
+
+_HERE = Path()
 
 _RGB_BY_WAVELENGTH_NM = {450.0: (0.05, 0.15, 1.0), 532.0: (0.12, 1.0, 0.15), 650.0: (1.0, 0.12, 0.05)}
 _STRIPE_LEVEL, _AMBIENT_LEVEL = 0.9, 0.75
@@ -224,16 +235,33 @@ def plate_of(table: TargetTable) -> Plate:
     )
 
 
-def shape_of(table: PartTable) -> Shape:
-    """The part, standing on z = 0 of its own frame."""
-    material = Material(table.albedo, table.gloss, table.gloss_width_deg)
+def shape_of(table: PartTable, folder: Path = _HERE) -> Shape:
+    """The part, standing on z = 0 of its own frame; ``folder``: where the files of meshes are.
+
+    Raises
+    ------
+    RigError
+        If a mesh cannot be used.
+    ValueError
+        If the sizes of a part contradict each other.
+    """
+    material = Material(table.albedo, table.gloss, table.gloss_width_deg, table.roughness_um)
+    if isinstance(table, MeshTable):
+        return read_mesh_part(
+            folder / table.file, table.mm_per_unit, material, stand=table.stand, fill_holes=table.fill_holes
+        )
+    form = FormError(table.form_error_um, table.form_error_lobes, table.form_error_phase_deg)
     if isinstance(table, SphereTable):
-        return Ball(table.diameter_mm, material=material)
+        return Ball(table.diameter_mm, material, form)
+    surface: dict[str, Any] = {"material": material, "chamfer": table.chamfer_mm, "form_error": form}
     if isinstance(table, CylinderTable):
-        return Rod(table.diameter_mm, table.height_mm, material=material)
+        return Rod(table.diameter_mm, table.height_mm, **surface)
+    if isinstance(table, ConeTable):
+        return Cone(table.diameter_bottom_mm, table.diameter_top_mm, table.height_mm, **surface)
     if isinstance(table, SteppedCylinderTable):
-        return SteppedRod(SteppedCylinder(*table.diameters_mm, *table.heights_mm), material=material)
-    assert isinstance(table, GrooveTable)
+        return SteppedRod(SteppedCylinder(*table.diameters_mm, *table.heights_mm), **surface)
+    if isinstance(table, BlockTable):
+        return Block(table.width_mm, table.length_mm, table.height_mm, **surface)
     return GrooveBlock(
         table.width_mm,
         table.length_mm,
@@ -241,20 +269,27 @@ def shape_of(table: PartTable) -> Shape:
         table.depth_mm,
         table.width_top_mm,
         table.width_bottom_mm,
-        material=material,
+        **surface,
     )
 
 
-def plan_of(tables: RigTables, rig: Rig, seed: int) -> SessionPlan:
-    """The session that a file describes, frame by frame.
+def _named(name: str, make: Callable[..., T], *of: Any) -> T:
+    try:
+        return make(*of)
+    except (RigError, ValueError) as error:
+        raise RigError(f"{name}: {error}") from error
+
+
+def plan_of(tables: RigTables, rig: Rig, seed: int, folder: Path) -> SessionPlan:
+    """The session that a file describes, frame by frame; ``folder``: where the files of meshes are.
 
     Raises
     ------
     RigError
-        If poses of a target do not fit into the view.
+        If a part or a target cannot be, or poses of a target do not fit into the view.
     """
-    plates = {name: plate_of(table) for name, table in tables.targets.items()}
-    shapes = {name: shape_of(table) for name, table in tables.parts.items()}
+    plates = {name: _named(f"targets.{name}", plate_of, table) for name, table in tables.targets.items()}
+    shapes = {name: _named(f"parts.{name}", shape_of, table, folder) for name, table in tables.parts.items()}
     targets: dict[str, Target | SteppedCylinder] = {name: plate.target for name, plate in plates.items()}
     targets |= {name: shape.artifact for name, shape in shapes.items() if isinstance(shape, SteppedRod)}
     captures = tuple(_capture_of(c, rig, plates, shapes, seed + 1000 * i) for i, c in enumerate(tables.captures))
