@@ -214,7 +214,7 @@ def _looking_away(rig):
         (_looking_away(RIGS["landscape"]), laser_capture, BOARD, "looks away"),
         (
             replace(RIGS["landscape"], optics=Optics(focus_mm=300.0, f_number=0.2)),
-            laser_capture,
+            camera_capture,
             BOARD,
             r"sharp from \d+ to \d+ mm",
         ),
