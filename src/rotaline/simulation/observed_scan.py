@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.signal import lfilter
+from scipy.spatial.transform import RigidTransform
 
 from rotaline.simulation.mechanics import base_from_table
 from rotaline.simulation.render import Placed
@@ -150,19 +151,46 @@ def trace_scan(
     seed : of the noise of the turntable
     spacing_px, edge_px, min_intensity_dn : see :func:`rotaline.simulation.stripe_trace.trace_stripe`
     """
+    poses = [
+        base_from_table(rig.turn_sense, rig.mechanics, float(angle_deg), np.random.default_rng([seed, index]))
+        for index, angle_deg in enumerate(angles_deg)
+    ]
+    return trace_frames(
+        rig,
+        [[part.moved(pose) for part in parts_table] for pose in poses],
+        poses,
+        angles_deg,
+        spacing_px=spacing_px,
+        edge_px=edge_px,
+        min_intensity_dn=min_intensity_dn,
+    )
+
+
+def trace_frames(
+    rig: Rig,
+    parts_base: Sequence[Sequence[Placed]],
+    table_poses: Sequence[RigidTransform],
+    angles_deg: Sequence[float],
+    *,
+    spacing_px: float = 1.0,
+    edge_px: float = 3.0,
+    min_intensity_dn: float = 2.0,
+) -> IdealScan:
+    """The true stripe centres of frames that need not be a scan.
+
+    Parameters
+    ----------
+    rig : Rig   the errors of its turntable play no part
+    parts_base : what stands where in each frame, in the base frame
+    table_poses : ``base_from_table`` in each frame, as it truly is
+    angles_deg : what the read-out says in each frame; NaN where the table plays no part
+    spacing_px, edge_px, min_intensity_dn : see :func:`rotaline.simulation.stripe_trace.trace_stripe`
+    """
     if not len(angles_deg):
         raise ValueError("A scan needs one angle or more; there is none.")
     traces, points_table = [], []
-    for index, angle_deg in enumerate(angles_deg):
-        rng = np.random.default_rng([seed, index])
-        pose = base_from_table(rig.turn_sense, rig.mechanics, float(angle_deg), rng)
-        trace = trace_stripe(
-            rig,
-            [part.moved(pose) for part in parts_table],
-            spacing_px=spacing_px,
-            edge_px=edge_px,
-            min_intensity_dn=min_intensity_dn,
-        )
+    for parts, pose in zip(parts_base, table_poses, strict=True):
+        trace = trace_stripe(rig, parts, spacing_px=spacing_px, edge_px=edge_px, min_intensity_dn=min_intensity_dn)
         traces.append(trace)
         points_table.append(pose.inv().apply(trace.points_base))
     uv, normal, width_px, intensity_dn, saturated, segment = (
