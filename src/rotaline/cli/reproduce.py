@@ -29,6 +29,7 @@ def reproduce(
     from rotaline.cli.reproduction_tables import show_reproduction
     from rotaline.io.files import make_folder, write_json
     from rotaline.io.report.reproduction import reproduction_document
+    from rotaline.io.report.reproduction_page import write_reproduction
     from rotaline.pipeline.reproduce.run import reproduce as run_reproduction
 
     make_folder(out)
@@ -36,10 +37,12 @@ def reproduce(
     result = run_reproduction(out, ConsoleObserver(0 if quiet else 1), quick=quick, seed=seed)
     document = reproduction_document(result)
     write_json(out / "reproduction.json", document)
+    write_reproduction(result, out / "reproduction.html")
     if as_json:
         print_json(document)
     else:
         show_reproduction(result)
         typer.echo(f"Figures: {out / 'reproduction.json'}")
+        typer.echo(f"Report:  {out / 'reproduction.html'}")
     if result.info.warnings:
         raise typer.Exit(INCOMPLETE)

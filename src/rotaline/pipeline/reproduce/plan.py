@@ -113,7 +113,7 @@ def session_plans(rig_file: RigFile, effort: Effort, seed: int) -> Mapping[str, 
         laser_capture(rig, dots, "dots", effort.n_laser_poses, seed),
     )
     plans = {"sensor": SessionPlan(targets, sensor, seed=seed)}
-    mounts = _stands(N_MOUNTS, 2.0, 6.0, 0.15, seed, MOUNT_SEED)
+    mounts = _stands(N_MOUNTS, 2.0, 6.0, seed, MOUNT_SEED)
     shape, turn = shape_of(tables.parts["stepped-cylinder"]), full_turn(effort.n_artifact_frames)
     for k, (name, stand) in enumerate(zip(mount_names(), mounts, strict=True)):
         stepped = scan_capture(
@@ -123,7 +123,7 @@ def session_plans(rig_file: RigFile, effort: Effort, seed: int) -> Mapping[str, 
         plans[name] = SessionPlan(targets, (axis, stepped), seed=seed + k + 1)
     for p, part in enumerate(PARTS):
         shape = shape_of(tables.parts[part.in_rig_file])
-        stands = _stands(N_MOUNTS, 0.5, 5.0, 0.05, seed, POSITION_SEED, p)
+        stands = _stands(N_MOUNTS, 0.5, 5.0, seed, POSITION_SEED, p)
         captures = tuple(
             scan_capture(rig, shape, stand, full_turn(effort.n_part_frames), folder=f"{part.name}-{k + 1}")
             for k, stand in enumerate(stands)
@@ -132,15 +132,14 @@ def session_plans(rig_file: RigFile, effort: Effort, seed: int) -> Mapping[str, 
     return plans
 
 
-def _stands(n: int, nearest_mm: float, farthest_mm: float, tilt_deg: float, *seed: int) -> list[RigidTransform]:
-    """Places of a part that is put down anew each time: off centre by a random distance in a random direction, hardly tilted."""
+def _stands(n: int, nearest_mm: float, farthest_mm: float, *seed: int) -> list[RigidTransform]:
+    """Places of a part that is put down anew each time: flat on the table, off centre by a random distance, turned anyhow."""
     rng = np.random.default_rng(seed)
     stands = []
     for _ in range(n):
-        radius, azimuth = rng.uniform(nearest_mm, farthest_mm), rng.uniform(0.0, 2 * np.pi)
-        x_mm, y_mm = float(radius * np.cos(azimuth)), float(radius * np.sin(azimuth))
-        turn, tilt, towards = rng.uniform(0.0, 1.0, 3) * (360.0, tilt_deg, 360.0)
-        stands.append(mount(x_mm, y_mm, float(turn), float(tilt), float(towards)))
+        radius_mm, azimuth_rad, turn_deg = rng.uniform((nearest_mm, 0.0, 0.0), (farthest_mm, 2 * np.pi, 360.0))
+        x_mm, y_mm = radius_mm * np.cos(azimuth_rad), radius_mm * np.sin(azimuth_rad)
+        stands.append(mount(float(x_mm), float(y_mm), float(turn_deg)))
     return stands
 
 

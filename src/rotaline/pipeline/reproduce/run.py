@@ -25,7 +25,7 @@ from rotaline.pipeline.reproduce.plan import FULL, QUICK, session_plans
 from rotaline.pipeline.reproduce.rows import RULE, changed_options
 from rotaline.pipeline.reproduce.sessions import joined, render_session
 from rotaline.pipeline.reproduce.workbench import Workbench
-from rotaline.pipeline.store import check_writable, key_of
+from rotaline.pipeline.store import check_writable
 from rotaline.pipeline.summary import machine, versions
 
 T = TypeVar("T")
@@ -52,10 +52,7 @@ def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: in
     rig_file = parse_rig(effort.rig_toml, "preset article")
     rig = rig_file.rig()
     plans = session_plans(rig_file, effort, seed)
-    key = key_of(effort, seed)
-    sessions = {
-        name: render_session(folder / "sessions", name, rig, plan, key, observer) for name, plan in plans.items()
-    }
+    sessions = {name: render_session(folder / "sessions", name, rig, plan, observer) for name, plan in plans.items()}
     bench = Workbench(joined(sessions), folder / "stages", observer)
     attempts = _Attempts(observer, [])
     found = attempts.do("Calibration", lambda: calibrate_all(bench))

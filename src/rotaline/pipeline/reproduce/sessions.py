@@ -12,15 +12,12 @@ from rotaline.pipeline.observer import Observer
 from rotaline.pipeline.store import key_of
 from rotaline.simulation.plan import SessionPlan
 from rotaline.simulation.rig import Rig
-from rotaline.simulation.session import truth_path, write_session
+from rotaline.simulation.session import fingerprint, write_session
+from rotaline.simulation.truth import truth_path
 
 
-def render_session(folder: Path, name: str, rig: Rig, plan: SessionPlan, key: str, observer: Observer) -> Session:
-    """The session ``folder/name``, rendered unless it is there with the same key.
-
-    Parameters
-    ----------
-    key : str   of everything that the session depends on beside rig and program, such as seed and numbers of frames
+def render_session(folder: Path, name: str, rig: Rig, plan: SessionPlan, observer: Observer) -> Session:
+    """The session ``folder/name``, rendered unless it is there already, from the same rig and plan by the same program.
 
     Raises
     ------
@@ -28,7 +25,7 @@ def render_session(folder: Path, name: str, rig: Rig, plan: SessionPlan, key: st
         If it cannot be written.
     """
     path, key_file = folder / name, folder / f"{name}.key"
-    wanted = key_of(name, key, rig)
+    wanted = key_of(name, fingerprint(rig, plan))
     stored = path.is_dir() and key_file.is_file() and key_file.read_text(encoding="utf-8") == wanted
     observer.stage(f"Rendering {name}", stored)
     if not stored:
