@@ -108,7 +108,7 @@ def test_nothing_is_left_out_and_nothing_is_invented(name):
 def _centroid_errors(rig, parts, sigma_mm):
     """Mean distance of the centroids of rendered light, row by row, from the traced curve; each segment, px."""
     rig = replace(rig, laser=replace(rig.laser, sigma_mm=sigma_mm), optics=Optics(blur_px=0.0))
-    _, light = render_irradiance(rig, parts, laser_on=True, ambient_e_per_ms=0.0)
+    light = render_irradiance(rig, parts, laser_on=True, ambient_e_per_ms=0.0).laser
     trace = trace_stripe(rig, parts, spacing_px=0.5, edge_px=8.0)
     errors = []
     for k in np.unique(trace.segment):
