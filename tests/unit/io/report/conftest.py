@@ -511,7 +511,7 @@ def _table(place: str, title: str, columns: tuple[str, ...], n: int, rng: np.ran
 
 
 def _complex_part(rng: np.random.Generator, name: str, title: str) -> ComplexPartResult:
-    vertices, triangles = tube_mesh(220, 90)
+    vertices, triangles = tube_mesh(140, 60)
     radii = np.hypot(vertices[:, 0], vertices[:, 1])
     deviation = 0.02 * np.sin(vertices[:, 2] / 3) * (radii / 18) + rng.normal(0, 0.004, len(vertices))
     deviation[vertices[:, 2] < 1.0] = np.nan
@@ -524,7 +524,7 @@ def _complex_part(rng: np.random.Generator, name: str, title: str) -> ComplexPar
         )
     photo = np.full((240, 320, 3), 12, np.uint8)
     photo[60:200, 110:210] = 90
-    pick = rng.choice(len(vertices), 9000, replace=False)
+    pick = rng.choice(len(vertices), 6000, replace=False)
     return ComplexPartResult(
         name,
         title,

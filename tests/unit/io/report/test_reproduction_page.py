@@ -113,9 +113,9 @@ def test_a_wide_table_has_ours_below_the_article():
 def test_the_budget_says_where_one_error_gives_the_articles_figure(full_reproduction):
     budget = full_reproduction.budget
     table = reproducing_table(budget)
-    assert [r.cells[5] for r in table.rows] == ["never", "0.015", "0.010", "0.0075", "0.0060"]
-    assert {r.cells[6] for r in table.rows} == {"never"}
-    assert [r.cells[4] for r in table.rows][2:4] == ["observations", "images"]
+    assert [r.cells[3] for r in table.rows] == ["never", "0.015 deg", "0.010 mm", "0.0075", "0.0060 %"]
+    assert {r.cells[4] for r in table.rows} == {"never"}
+    assert [r.cells[1:3] for r in table.rows][2:4] == [("0 to 0.02 mm", "observations"), ("0 to 0.02", "images")]
     levels = levels_table(budget)
     assert len(levels.rows) == 4 * 5 + 1
     assert levels.rows[-1].cells[2:4] == ("11.0", "28.9")

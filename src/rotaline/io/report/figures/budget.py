@@ -54,18 +54,22 @@ def _response(ax: Axes, budget: Budget, source: BudgetSource, keys: list[str]) -
 
 
 def matrix(budget: Budget) -> Figure:
-    """All figures (columns) under each error alone (rows), at the largest setting that was tried; the first row: no error at all."""
+    """All figures (columns) under each error alone (rows), at the largest setting that was tried.
+
+    First the errors that were seen in observations, then those that needed images; above each kind a row without any error.
+    """
     keys = list(budget.titles)
     rows, names = [], []
-    if budget.sources and budget.sources[0].levels:
-        rows.append(budget.sources[0].levels[0].figures)
-        names.append("none of these errors")
-    for source in budget.sources:
-        if source.levels:
+    for from_images in (False, True):
+        alike = [s for s in budget.sources if s.from_images == from_images and s.levels]
+        if alike:
+            rows.append(alike[0].levels[0].figures)
+            names.append(f"none of these errors, {'images' if from_images else 'observations'}")
+        for source in alike:
             largest = max(source.levels, key=lambda level: abs(level.setting))
             rows.append(largest.figures)
             names.append(f"{source.title}, {largest.setting:g} {source.unit}".rstrip())
-    figure = style.new_figure(style.FULL_INCH, 1.5 + 0.3 * max(1, len(rows)))
+    figure = style.new_figure(style.FULL_INCH, 0.7 + 0.27 * max(1, len(rows)))
     ax = figure.add_subplot()
     values = np.array([[r.get(k, math.nan) for k in keys] for r in rows], dtype=float).reshape(len(rows), len(keys))
     values = np.abs(values) * 1e3
@@ -74,7 +78,7 @@ def matrix(budget: Budget) -> Figure:
         style.nothing_to_draw(ax, "nothing was varied")
         return figure
     norm = LogNorm(float(positive.min()), float(positive.max()) * 1.0001)
-    shown = ax.imshow(np.clip(values, positive.min(), None), cmap="YlOrRd", norm=norm, aspect="auto")
+    ax.imshow(np.clip(values, positive.min(), None), cmap="YlOrRd", norm=norm, aspect="auto")
     for (i, j), value in np.ndenumerate(values):
         if math.isfinite(value):
             share = float(norm(max(value, positive.min())))
@@ -88,7 +92,6 @@ def matrix(budget: Budget) -> Figure:
     style.style_axes(ax, "", "", "", grid=False)
     ax.spines[:].set_visible(False)
     ax.tick_params(length=0)
-    style.colour_bar(figure, shown, ax, "[µm]", shrink=0.7)
     return figure
 
 

@@ -20,7 +20,7 @@ _FLOOR_MM = 1e-15
 def verdict_bars(tables: Sequence[ComparisonTable]) -> Figure:
     """How many figures of each table are better, equal and worse, by the article's method and by the default one."""
     compared = [t for t in tables if any(c.verdict_default_method != "none" for c in t.comparisons())]
-    figure = style.new_figure(style.FULL_INCH, 0.9 + 0.29 * max(1, len(compared)))
+    figure = style.new_figure(style.FULL_INCH, 0.85 + 0.21 * max(1, len(compared)))
     left, right = figure.subplots(1, 2, sharey=True)
     at = np.arange(len(compared))
     sides: tuple[tuple[Axes, str, Callable[[Comparison], Verdict]], ...] = (

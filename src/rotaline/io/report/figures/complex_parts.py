@@ -29,6 +29,7 @@ VIEWPOINTS_DEG = ((20.0, 18.0), (110.0, 18.0), (200.0, 18.0), (290.0, 18.0))
 VIEWPOINT_NAMES = ("20° from x", "110° from x", "200° from x", "290° from x")
 _PANEL_PX = (440, 440)
 _RATIO = 480.0 / 440.0
+DETAILS_A_ROW = 4
 _CLOSE_PX = (300, 300)
 _CLOSE_RATIO = 327.0 / 300.0
 _FACING = 0.25
@@ -84,10 +85,12 @@ def deviation(part: ComplexPartResult) -> Figure:
     return figure
 
 
-def details(part: ComplexPartResult, at_most: int = 5) -> Figure:
-    """Each detail close up, straight from outside: the measured surface, and below it its deviation from the truth."""
-    shown = part.details[:at_most]
-    figure, axes, (bar,) = style.row_of_panels(max(1, 2 * len(shown)), _CLOSE_RATIO, "last")
+def details(part: ComplexPartResult, first: int = 0) -> Figure:
+    """Up to four details from ``first`` on, straight from outside: the measured surface, beside it its deviation from the truth."""
+    shown = part.details[first : first + DETAILS_A_ROW]
+    figure, axes, (bar,) = style.row_of_panels(2 * DETAILS_A_ROW, _CLOSE_RATIO, "last")
+    for ax in axes:
+        ax.set_axis_off()
     if not shown or not _any_triangle(axes, part):
         bar.set_axis_off()
         return figure
@@ -97,7 +100,7 @@ def details(part: ComplexPartResult, at_most: int = 5) -> Figure:
         view = close_view(detail)
         close = _near(part, view)
         plain, coloured = (render_mesh(part.vertices_table, close, [view], c)[0] for c in (None, colours))
-        panel(axes[2 * i], plain, view, f"{i + 1} {detail.name}")
+        panel(axes[2 * i], plain, view, f"{first + i + 1} {detail.name}")
         panel(axes[2 * i + 1], coloured, view, "")
     style.colour_bar(figure, mappable, None, "deviation [µm]", cax=bar)
     return figure

@@ -134,12 +134,13 @@ def reproducing_table(budget: Budget) -> Table:
     """At which setting each error alone gives the article's figure."""
     keys = [k for k in budget.article if k in budget.titles]
     columns = (
-        Column("Error of the rig, alone", numeric=False),
-        Column("Unit", numeric=False),
-        Column("Tried, from"),
-        Column("to"),
+        Column("Error of the rig", numeric=False),
+        Column("Tried"),
         Column("Seen in", numeric=False),
-        *(Column(f"gives the article's {budget.titles[k]}", f"{numbers.um(budget.article[k])} µm at") for k in keys),
+        *(
+            Column(budget.titles[k], f"{numbers.um(budget.article[k])} µm", group="alone gives the article's")
+            for k in keys
+        ),
         Column("Remark", numeric=False),
     )
     rows = []
@@ -149,9 +150,7 @@ def reproducing_table(budget: Budget) -> Table:
             Row(
                 (
                     source.title,
-                    source.unit,
-                    numbers.significant(min(settings), 3) if settings else numbers.MISSING,
-                    numbers.significant(max(settings), 3) if settings else numbers.MISSING,
+                    f"{min(settings):g} to {max(settings):g} {source.unit}".rstrip() if settings else numbers.MISSING,
                     "images" if source.from_images else "observations",
                     *(_reproducing(source, k) for k in keys),
                     source.text,
@@ -169,7 +168,7 @@ def reproducing_table(budget: Budget) -> Table:
 
 def _reproducing(source: BudgetSource, key: str) -> str:
     setting = source.reproducing.get(key)
-    return "never" if setting is None else numbers.significant(setting, 2)
+    return "never" if setting is None else f"{numbers.significant(setting, 2)} {source.unit}".rstrip()
 
 
 def levels_table(budget: Budget) -> Table:
@@ -180,7 +179,7 @@ def levels_table(budget: Budget) -> Table:
         for i, level in enumerate(source.levels):
             cells = (
                 source.title if i == 0 else "",
-                f"{numbers.significant(level.setting, 3)} {source.unit}".rstrip(),
+                f"{level.setting:g} {source.unit}".rstrip(),
                 *(numbers.um(level.figures.get(k, math.nan)) for k in keys),
             )
             rows.append(Row(cells, "plain" if i == 0 else "continued"))

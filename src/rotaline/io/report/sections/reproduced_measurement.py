@@ -70,7 +70,7 @@ def _parts(section: PartsSection | None) -> Section:
         if measurement is None or points is None or len(points.points_table) == 0:
             continue
         blocks += [
-            Heading(f"{entry.name or entry.feature}, first position"),
+            Heading(f"{_capital(entry.name or entry.feature)}, first position"),
             Gallery(
                 (
                     picture(
@@ -137,29 +137,29 @@ def _complex_part(part: ComplexPartResult) -> list[Block]:
         ),
         picture(
             lambda: part_figures.surface(part),
-            f"{part.title}: the measured surface from four viewpoints. Arrows mark the details of the table below where they are seen; red: "
+            f"{_capital(part.title)}: the measured surface from four viewpoints. Arrows mark the details of the table below where they are seen; red: "
             "not resolved. Holes are places that no frame saw.",
             "full",
             "png",
         ),
         picture(
             lambda: part_figures.deviation(part),
-            f"{part.title}: signed distance of the measured surface from the true one, in µm (outside positive; grey: nothing to compare "
+            f"{_capital(part.title)}: signed distance of the measured surface from the true one, in µm (outside positive; grey: nothing to compare "
             f"with). RMS {numbers.um(part.rms_mm)} µm, 95 % within {numbers.um(part.p95_mm)} µm.",
             "full",
             "png",
         ),
     ]
-    if part.details:
+    for first in range(0, len(part.details), part_figures.DETAILS_A_ROW):
         pictures.append(
             picture(
-                lambda: part_figures.details(part),
-                f"{part.title}: details close up, straight from outside; left the measured surface, right its deviation in the colours of the bar.",
+                lambda n=first: part_figures.details(part, n),  # type: ignore[misc]
+                f"{_capital(part.title)}: details close up, straight from outside; left the measured surface, right its deviation in the colours of the bar.",
                 "full",
                 "png",
             )
         )
-    return [Heading(part.title), Gallery(tuple(pictures)), *((_details(part),) if part.details else ())]
+    return [Heading(_capital(part.title)), Gallery(tuple(pictures)), *((_details(part),) if part.details else ())]
 
 
 def _details(part: ComplexPartResult) -> Table:
@@ -200,8 +200,8 @@ def _budget(budget: Budget | None) -> Section:
         (
             picture(
                 lambda: budget_figures.responses(budget),
-                "The figures that the article gives, over the setting of one error of the rig alone; all other errors are as in the first row of "
-                "the next figure. Dashed: the article's figure, in the colour of its curve; ring: where the curve meets it. µm.",
+                "The figures that the article gives, in µm, over the setting of one error of the rig alone. Dashed: the article's figure, in the "
+                "colour of its curve; ring: where the curve meets it.",
             ),
             picture(
                 lambda: budget_figures.matrix(budget),
@@ -223,3 +223,7 @@ def _length_columns(table: ComparisonTable) -> list[int]:
             for r in table.rows
         )
     ]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
