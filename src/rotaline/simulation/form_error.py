@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from rotaline.simulation.surface import Box, Distances, Faces, Surface, Vectors, dot_rows
+from rotaline.simulation.surface import Box, Distances, Faces, Surface, Vectors, box_interval, dot_rows
 
 _CORE_AMPLITUDES = 4.0
-_CONVERGED_MM = 1e-10
-_MAX_STEPS = 12
+_NEWTON_STEPS, _CONVERGED_MM = 8, 1e-9
+_SAMPLES, _BISECTIONS, _LOOK_MM = 40, 30, 1e-4
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class DisplacedSurface:
     Attributes
     ----------
     exact : the surface without form error
-    hull : a surface that lies outside of the bent one by little: ``exact``, grown by the largest displacement
+    hull : a surface that holds the bent one inside: ``exact``, grown by the largest displacement
     displacement : of space
     """
 
@@ -172,12 +172,26 @@ class DisplacedSurface:
     def intersect(self, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Faces]:
         """See :class:`rotaline.simulation.surface.Surface`.
 
-        Newton's method along each ray, from where it enters the hull. In exact space the ray is slightly curved; each step
-        replaces it by the straight ray through its present point, which meets the exact surface where its normal is known.
+        Newton's method from where a ray enters the hull finds nearly all entries; rays that graze the surface are searched.
         """
         t, faces = self.hull.intersect(origin, directions)
-        (rays,) = np.nonzero(np.isfinite(t))
-        for _ in range(_MAX_STEPS):
+        (near,) = np.nonzero(np.isfinite(t))
+        t_hull = t[near]
+        t[near], faces[near] = self._by_newton(origin, directions[near], t_hull)
+        grazing = np.isnan(t[near])
+        rays = near[grazing]
+        t[rays], faces[rays] = self._by_search(origin, directions[rays], t_hull[grazing])
+        return t, faces
+
+    def _by_newton(
+        self, origin: Float[np.ndarray, "3"], directions: Vectors, t_start: Distances
+    ) -> tuple[Distances, Faces]:
+        """Entry near ``t_start``; nan where a step finds none, or an exit, or the steps do not end.
+
+        Each step meets the exact surface along the aimed ray, and corrects for the change of the aim on the way.
+        """
+        t, faces, rays = t_start.copy(), np.zeros(len(t_start), int), np.arange(len(t_start))
+        for _ in range(_NEWTON_STEPS):
             if not len(rays):
                 break
             d, t_old = directions[rays], t[rays]
@@ -185,16 +199,53 @@ class DisplacedSurface:
             aimed = d - (heights / t_old)[:, None] * e
             t_exact, face = self.exact.intersect(origin, aimed)
             hit = np.isfinite(t_exact)
-            t[rays], faces[rays] = t_exact, face  # the last word for rays that miss
-            rays, d, aimed, t_old, t_exact = rays[hit], d[hit], aimed[hit], t_old[hit], t_exact[hit]
-            normals = self.exact.normals(origin + t_exact[:, None] * aimed, face[hit])
-            bent = _bent_normals(normals, e[hit], gradients[hit])
+            t[rays[~hit]] = np.nan
+            rays, d, aimed, t_old, t_exact, face = (a[hit] for a in (rays, d, aimed, t_old, t_exact, face))
+            normals = self.exact.normals(origin + t_exact[:, None] * aimed, face)
+            towards = dot_rows(_bent_normals(normals, e[hit], gradients[hit]), d)
             with np.errstate(divide="ignore", invalid="ignore"):
-                ratio = dot_rows(normals, aimed) / dot_rows(bent, d)
+                ratio = dot_rows(normals, aimed) / towards
             step = (t_exact - t_old) * np.where((ratio > 0.5) & (ratio < 2.0), ratio, 1.0)
-            t[rays] = t_old + step
-            rays = rays[np.abs(step) * np.sqrt(dot_rows(d, d)) > _CONVERGED_MM]
+            t[rays], faces[rays] = np.where(towards < 0, t_old + step, np.nan), face
+            rays = rays[(towards < 0) & (np.abs(step) * np.sqrt(dot_rows(d, d)) > _CONVERGED_MM)]
+        t[rays] = np.nan
         return t, faces
+
+    def contains(self, points: Vectors) -> Bool[np.ndarray, " n"]:
+        """See :class:`rotaline.simulation.surface.Surface`."""
+        heights, e, _ = self.displacement.at(points)
+        return self.exact.contains(points - heights[:, None] * e)
+
+    def _by_search(
+        self, origin: Float[np.ndarray, "3"], directions: Vectors, t_hull: Distances
+    ) -> tuple[Distances, Faces]:
+        """First entry between ``t_hull`` and where the ray leaves the box, by samples and bisection; inf where there is none."""
+        _, t_out = box_interval(self.bounds(), origin, directions)
+        spacing = np.maximum(t_out - t_hull, 0.0) / _SAMPLES
+        outside, inside = t_hull.copy(), np.full(len(t_hull), np.inf)
+        for i in range(1, _SAMPLES):
+            (rays,) = np.nonzero(np.isinf(inside))
+            t = t_hull[rays] + i * spacing[rays]
+            entered = self.contains(origin + t[:, None] * directions[rays])
+            inside[rays[entered]], outside[rays[~entered]] = t[entered], t[~entered]
+        (rays,) = np.nonzero(np.isfinite(inside))
+        d, low, high = directions[rays], outside[rays], inside[rays]
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
+            entered = self.contains(origin + middle[:, None] * d)
+            low, high = np.where(entered, low, middle), np.where(entered, middle, high)
+        t, faces = np.full(len(t_hull), np.inf), np.zeros(len(t_hull), int)
+        for ray, t_ray, direction in zip(rays.tolist(), high, d, strict=True):
+            faces[ray], touched = self._face_entered(origin + t_ray * direction, direction)
+            t[ray] = t_ray if touched else np.inf
+        return t, faces
+
+    def _face_entered(self, point: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> tuple[int, bool]:
+        """The face at an entry, looked at along the ray from close by; False if the ray does not even touch it."""
+        (height,), (e,), _ = self.displacement.at(point[None])
+        start = point - height * e - direction * (_LOOK_MM / np.linalg.norm(direction))
+        (t,), (face,) = self.exact.intersect(start, direction[None])
+        return int(face), bool(np.isfinite(t))
 
     def normals(self, points: Vectors, faces: Faces) -> Vectors:
         """See :class:`rotaline.simulation.surface.Surface`."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from rotaline.simulation.surface import Box, Distances, Faces, Vectors
 
@@ -94,6 +94,11 @@ class PolyhedraSurface:
             np.copyto(t, t_in, where=entered)
             np.copyto(faces, face_in, where=entered)
         return t, faces
+
+    def contains(self, points: Vectors) -> Bool[np.ndarray, " n"]:
+        """See :class:`rotaline.simulation.surface.Surface`."""
+        within = [np.all(points @ solid.normals.T <= solid.offsets, axis=1) for solid in self.solids]
+        return np.logical_or.reduce(within)
 
     def normals(self, points: Vectors, faces: Faces) -> Vectors:
         """See :class:`rotaline.simulation.surface.Surface`."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from rotaline.simulation.surface import Box, Distances, Faces, Vectors, dot_rows
 
@@ -40,6 +40,11 @@ class SphereSurface:
         inside = self.radius**2 - dot_rows(nearest, nearest)
         t = (-half_b / a) - np.sqrt(np.maximum(inside, 0.0) / a)
         return np.where((inside > 0) & (t > 0), t, np.inf), np.zeros(len(directions), int)
+
+    def contains(self, points: Vectors) -> Bool[np.ndarray, " n"]:
+        """See :class:`rotaline.simulation.surface.Surface`."""
+        relative = points - np.array([0.0, 0.0, self.centre_z])
+        return dot_rows(relative, relative) < self.radius**2
 
     def normals(self, points: Vectors, faces: Faces) -> Vectors:
         """See :class:`rotaline.simulation.surface.Surface`."""
@@ -128,6 +133,11 @@ class RevolutionSurface:
                 np.copyto(t, t_face, where=entered)
                 np.copyto(faces, face, where=entered)
         return t, faces
+
+    def contains(self, points: Vectors) -> Bool[np.ndarray, " n"]:
+        """See :class:`rotaline.simulation.surface.Surface`."""
+        r, z = self.outline_rz.T
+        return np.hypot(points[:, 0], points[:, 1]) < np.interp(points[:, 2], z, r, left=0.0, right=0.0)
 
     def normals(self, points: Vectors, faces: Faces) -> Vectors:
         """See :class:`rotaline.simulation.surface.Surface`."""

@@ -26,6 +26,10 @@ class Surface(Protocol):
         """First entry of each ray."""
         ...
 
+    def contains(self, points: Vectors) -> Bool[np.ndarray, " n"]:
+        """Which points are inside; on the surface itself either may come out."""
+        ...
+
     def normals(self, points: Vectors, faces: Faces) -> Vectors:
         """Outward unit normals."""
         ...
@@ -36,8 +40,8 @@ def dot_rows(a: Vectors, b: Vectors) -> Distances:
     return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
 
 
-def meets_box(box: Box, origin: Float[np.ndarray, "3"], directions: Vectors) -> Bool[np.ndarray, " n"]:
-    """Which rays touch a box: never False for one that does."""
+def box_interval(box: Box, origin: Float[np.ndarray, "3"], directions: Vectors) -> tuple[Distances, Distances]:
+    """Where rays enter a box, 0 or more, and where they leave it; they miss it where they would leave it before."""
     t_in, t_out = np.zeros(len(directions)), np.full(len(directions), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
         for axis in range(3):
@@ -46,6 +50,12 @@ def meets_box(box: Box, origin: Float[np.ndarray, "3"], directions: Vectors) -> 
             # a ray in the plane of a face gives 0 * inf = nan, which fmin and fmax pass over
             t_in = np.fmax(t_in, np.fmin(t_low, t_high))
             t_out = np.fmin(t_out, np.fmax(t_low, t_high))
+    return t_in, t_out
+
+
+def meets_box(box: Box, origin: Float[np.ndarray, "3"], directions: Vectors) -> Bool[np.ndarray, " n"]:
+    """Which rays touch a box: never False for one that does."""
+    t_in, t_out = box_interval(box, origin, directions)
     return np.asarray(t_in <= t_out * (1 + 1e-12))
 
 
