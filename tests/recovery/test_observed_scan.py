@@ -7,7 +7,7 @@ from rotaline.calibration.model import SystemCalibration
 from rotaline.scanning.triangulation import scan_cloud
 from rotaline.simulation.observed_scan import trace_scan
 from rotaline.simulation.plan import BALL, ROD, mount, table_disc
-from rotaline.simulation.render import Placed
+from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import build_rig
 
 ANGLES_DEG = tuple(30.0 * i for i in range(12))

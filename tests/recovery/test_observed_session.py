@@ -15,7 +15,7 @@ from rotaline.geometry.primitives import Line, unit
 from rotaline.simulation.observed_scan import trace_scan
 from rotaline.simulation.observed_session import trace_session
 from rotaline.simulation.plan import STEPPED_CYLINDER, demo_plan, full_turn, mount, table_disc
-from rotaline.simulation.render import Placed
+from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import Mechanics, build_rig
 from rotaline.simulation.shapes import SteppedRod
 

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import RigidTransform
 
 from rotaline.simulation.mechanics import base_from_table
-from rotaline.simulation.render import Placed
+from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import Rig
 from rotaline.simulation.stripe_trace import trace_stripe
 from rotaline.vision.stripe.model import StripePoints

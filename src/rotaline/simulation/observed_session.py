@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from rotaline.simulation.boards import Plate
 from rotaline.simulation.observed_scan import IdealScan, trace_frames
 from rotaline.simulation.plan import CapturePlan, SessionPlan
-from rotaline.simulation.render import Placed
+from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import Rig
 from rotaline.simulation.truth import true_poses
 from rotaline.vision.stripe.model import StripePoints

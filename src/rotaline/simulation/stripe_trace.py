@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rotaline.simulation.laser_light import reflected, sheet_light, sheet_sigma_mm
-from rotaline.simulation.render import Placed
+from rotaline.simulation.raycast import Placed, PosedPart, View
 from rotaline.simulation.rig import Laser, Rig
 from rotaline.vision.camera import CameraModel
 
@@ -77,50 +77,33 @@ class _Points:
         return both.select(np.argsort(both.angle_rad, kind="stable"))
 
 
-def sheet_rays(laser: Laser, angle_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-    """Rays that make up the sheet, base frame, at angles from the beam; their length in ``plane_base`` is 1.
+def sheet_rays(laser: Laser, angle_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+    """Rays that make up the sheet, at angles from the beam: along ``plane_base.normal x beam_base`` and along the plane's normal, for 1
+    along the beam.
 
     A bowed sheet leaves the plane in proportion to the distance and to the square of the angle (see :class:`Laser`).
     """
-    normal = laser.plane_base.normal
-    side = np.cross(normal, laser.beam_base)
     slope = laser.bow_mm / laser.waist_mm * (angle_rad / np.radians(laser.fan_deg / 2)) ** 2
-    return (
-        np.cos(angle_rad)[:, None] * laser.beam_base
-        + np.sin(angle_rad)[:, None] * side
-        + slope[:, None] * np.asarray(normal)
-    )
+    return np.stack([np.tan(angle_rad), slope / np.cos(angle_rad)], axis=1)
 
 
 class _Scene:
-    """Parts in the base frame with their poses as plain arrays, seen by a rig."""
+    """Parts in the base frame as laser and camera of a rig see them."""
 
     def __init__(self, rig: Rig, parts_base: Sequence[Placed], min_intensity_dn: float) -> None:
+        parts = tuple(PosedPart.of(part) for part in parts_base)
+        normal, beam = rig.laser.plane_base.normal, rig.laser.beam_base
+        base_from_laser = np.stack([np.cross(normal, beam), normal, beam], axis=1)
+        base_from_camera = rig.camera_from_base.inv()
         self.rig = rig
-        self.shapes = [part.shape for part in parts_base]
-        self.rotations = [part.frame_from_part.rotation.as_matrix() for part in parts_base]
-        self.origins = [np.asarray(part.frame_from_part.translation) for part in parts_base]
-        self.eye = np.asarray(rig.camera_from_base.inv().translation)
-        self.camera_rotation = rig.camera_from_base.rotation.as_matrix()
+        self.laser = View.of(parts, np.asarray(rig.laser.position_base, dtype=float), base_from_laser)
+        self.camera = View.of(parts, np.asarray(base_from_camera.translation), base_from_camera.rotation.as_matrix())
         self.min_intensity_dn = min_intensity_dn
         self.peak_dn = rig.laser.peak_e_per_ms * rig.light.exposure_on_ms / rig.sensor.electrons_per_dn
 
-    def first_hit(
-        self, origin_base: Float[np.ndarray, "3"], directions_base: Float[np.ndarray, "n 3"]
-    ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-        """Distance in lengths of the ray (inf: nothing is hit), index of the part (-1: nothing) and of its face."""
-        n = len(directions_base)
-        t, index, faces = np.full(n, np.inf), np.full(n, -1), np.zeros(n, int)
-        for i, (shape, rotation, place) in enumerate(zip(self.shapes, self.rotations, self.origins, strict=True)):
-            t_part, faces_part = shape.intersect((origin_base - place) @ rotation, directions_base @ rotation)
-            nearer = t_part < t
-            t = np.where(nearer, t_part, t)
-            index, faces = np.where(nearer, i, index), np.where(nearer, faces_part, faces)
-        return t, index, faces
-
     def project(self, points_base: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
         """Pixels of points; NaN where the point is behind the camera or so far out that the distortion folds."""
-        points = (points_base - self.eye) @ self.camera_rotation.T
+        points = (points_base - self.camera.origin_base) @ self.camera.base_from_view
         uv = self.rig.camera.project(points)
         with np.errstate(invalid="ignore", divide="ignore"):
             beyond = np.hypot(points[:, 0], points[:, 1]) > _radius_of_view(self.rig.camera) * points[:, 2]
@@ -129,19 +112,17 @@ class _Scene:
 
     def cast(self, angle_rad: Float[np.ndarray, " n"]) -> _Points:
         """Where rays of the fan end, and how the camera sees it."""
-        laser, n = self.rig.laser, len(angle_rad)
-        rays = sheet_rays(laser, angle_rad)
-        t, part, faces = self.first_hit(laser.position_base, rays)
-        with np.errstate(invalid="ignore"):
-            points = np.where(part[:, None] >= 0, laser.position_base + t[:, None] * rays, np.nan)
-        normals, light = np.full((n, 3), np.nan), np.zeros(n)
-        for i, (shape, rotation, place) in enumerate(zip(self.shapes, self.rotations, self.origins, strict=True)):
-            (here,) = np.nonzero(part == i)
-            points_part = (points[here] - place) @ rotation
-            normals[here] = shape.normals(points_part, faces[here]) @ rotation.T
-            albedo = shape.albedo(points_part, faces[here])
-            to_laser, to_eye = _unit_rows(-rays[here]), _unit_rows(self.eye - points[here])
-            light[here] = reflected(shape.material, albedo, normals[here], to_laser, to_eye)
+        n, xy = len(angle_rad), sheet_rays(self.rig.laser, angle_rad)
+        hits, rays = self.laser.hits(xy), self.laser.directions_base(xy)
+        points, normals, light = np.full((n, 3), np.nan), np.full((n, 3), np.nan), np.zeros(n)
+        for i, part in enumerate(self.laser.parts):
+            (here,) = np.nonzero(hits.part == i)
+            points[here] = self.laser.origin_base + hits.t[here, None] * rays[here]
+            points_part, faces = part.to_part(points[here]), hits.face[here]
+            normals[here] = part.shape.normals(points_part, faces) @ part.base_from_part.T
+            to_laser, to_camera = _unit_rows(-rays[here]), _unit_rows(self.camera.origin_base - points[here])
+            albedo = part.shape.albedo(points_part, faces)
+            light[here] = reflected(part.shape.material, albedo, normals[here], to_laser, to_camera)
 
         uv = self.project(points)
         width, height = self.rig.camera.image_size
@@ -150,11 +131,12 @@ class _Scene:
 
         normal, width_px, intensity = np.full((n, 2), np.nan), np.full(n, np.nan), np.zeros(n)
         normal[seen], width_px[seen], share = self._profile(points[seen], normals[seen])
-        intensity[seen] = self.peak_dn * sheet_light(laser, points[seen]) * light[seen] * share
+        intensity[seen] = self.peak_dn * sheet_light(self.rig.laser, points[seen]) * light[seen] * share
         seen &= (intensity > 0) & (intensity >= self.min_intensity_dn) & np.isfinite(width_px)
-        view, _, _ = self.first_hit(self.eye, points[seen] - self.eye)
-        seen[seen] = view > 1.0 - _SAME_POINT
-        return _Points(angle_rad, points, normals, part, uv, normal, width_px, intensity, seen)
+        in_view = (points[seen] - self.camera.origin_base) @ self.camera.base_from_view
+        depth_mm = in_view[:, 2]
+        seen[seen] = self.camera.hits(in_view[:, :2] / depth_mm[:, None]).t > depth_mm * (1.0 - _SAME_POINT)
+        return _Points(angle_rad, points, normals, hits.part, uv, normal, width_px, intensity, seen)
 
     def _profile(
         self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
@@ -170,7 +152,7 @@ class _Scene:
             px_per_mm = (normal * self._image_of(points, across)).sum(axis=1) / (across @ sheet_normal)
         distance_mm = np.linalg.norm(points - laser.position_base, axis=1)
         sharp_px = np.abs(px_per_mm) * sheet_sigma_mm(laser, distance_mm)
-        depth_mm = (points - self.eye) @ self.camera_rotation[2]
+        depth_mm = (points - self.camera.origin_base) @ self.camera.base_from_view[:, 2]
         width_px = np.hypot(sharp_px, self.rig.optics.blur_px_at(depth_mm, self.rig.camera.fx))
         with np.errstate(invalid="ignore", divide="ignore"):
             return normal, width_px, sharp_px / width_px

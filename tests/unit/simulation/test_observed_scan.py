@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rotaline.simulation.observed_scan import observe_scan, trace_scan
 from rotaline.simulation.plan import ROD, mount, table_disc
-from rotaline.simulation.render import Placed
+from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import Mechanics, build_rig
 
 RIG = build_rig((320, 240), turn_sense=-1)
