@@ -33,16 +33,15 @@ def triangle_normals(vertices: Float[np.ndarray, "v 3"], triangles: Triangles) -
 
 def unit_rows(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Each vector with length 1; a zero vector stays zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1.0))
+    length = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return np.asarray(vectors / np.where(length > 0, length, 1.0)[..., None])
 
 
 def corner_angles(vertices: Float[np.ndarray, "v 3"], triangles: Triangles) -> Float[np.ndarray, "t 3"]:
     """The angle at each corner of each triangle, rad."""
     corners = vertices[triangles]
-    to_next = unit_rows(np.roll(corners, -1, axis=1) - corners)
-    to_previous = unit_rows(np.roll(corners, 1, axis=1) - corners)
-    return np.arccos(np.clip(np.einsum("tki,tki->tk", to_next, to_previous), -1.0, 1.0))
+    to_next = unit_rows(corners[:, [1, 2, 0]] - corners)
+    return np.arccos(np.clip(-np.einsum("tki,tki->tk", to_next, to_next[:, [2, 0, 1]]), -1.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
