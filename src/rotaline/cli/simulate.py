@@ -59,6 +59,9 @@ def simulate(
     observer = ConsoleObserver(0 if quiet else 1)
     rig, plan = file.rig(), file.plan(seed)
     left = unfinished(out, rig, plan)
+    shapes = {id(placed.shape): placed.shape for c in plan.captures for placed in c.shots[0].on_table}
+    for note in (note for shape in shapes.values() for note in getattr(shape, "notes", ())):
+        observer.warning(note)
     observer.stage(f"Rendering {plan.n_frames} frames into {out}", stored=False)
     if left is not None:
         observer.note(

@@ -19,7 +19,7 @@ from rotaline.simulation.rig import Rig
 
 T = TypeVar("T")
 
-PRESETS = ("article",)
+PRESETS = ("article", "webcam", "high-resolution")
 
 _TARGET_ROLES = ("camera", "laser-plane", "axis")
 

@@ -89,7 +89,7 @@ class LaserTable(Table):
     bow_mm: Number = key(0.0, "sag of the sheet off a plane at both ends of the fan, at the narrowest place")
     peak_e_per_ms: Positive | None = key(
         None,
-        "electrons per ms from white that faces the laser, in the line's middle; absent: 0.9 of full scale in the image",
+        "electrons per ms from white that faces the laser, in the line's middle; absent: 0.6 of full scale in the image",
     )
     wavelength_nm: Annotated[float, Field(ge=350, le=1100)] = key(650.0, "of the light: speckle, diffraction, colour")
     spectral_width_nm: NotNegative = key(1.0, "of the light; a wide one has less speckle")
@@ -258,8 +258,24 @@ class MeshTable(_PartTable):
     fill_holes: bool = key(False, "close holes instead of refusing a mesh that has some")
 
 
+class GeneratedTable(_PartTable):
+    """A part with small details that the program generates; as it comes, unless its surface is stated."""
+
+    kind: Literal["generated"] = key(..., '"generated"')
+    name: Literal["bust", "casting_with_flash", "rubber_model", "thread_connector"] = key(
+        ..., "bust, casting_with_flash, rubber_model or thread_connector"
+    )
+
+
 PartTable = Annotated[
-    SphereTable | CylinderTable | ConeTable | SteppedCylinderTable | GrooveTable | BlockTable | MeshTable,
+    SphereTable
+    | CylinderTable
+    | ConeTable
+    | SteppedCylinderTable
+    | GrooveTable
+    | BlockTable
+    | MeshTable
+    | GeneratedTable,
     Field(discriminator="kind"),
 ]
 

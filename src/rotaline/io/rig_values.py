@@ -19,6 +19,7 @@ from rotaline.io.rig_tables import (
     CheckerboardTable,
     ConeTable,
     CylinderTable,
+    GeneratedTable,
     LaserTable,
     MeasurementTable,
     MeshTable,
@@ -31,6 +32,7 @@ from rotaline.io.rig_tables import (
     TurntableTable,
 )
 from rotaline.simulation.boards import Plate
+from rotaline.simulation.complex_parts import GENERATORS
 from rotaline.simulation.form_error import FormError
 from rotaline.simulation.material import Material
 from rotaline.simulation.mesh_files import read_mesh_part
@@ -55,7 +57,9 @@ T = TypeVar("T")
 _HERE = Path()
 
 _RGB_BY_WAVELENGTH_NM = {450.0: (0.05, 0.15, 1.0), 532.0: (0.12, 1.0, 0.15), 650.0: (1.0, 0.12, 0.05)}
-_STRIPE_LEVEL, _AMBIENT_LEVEL = 0.9, 0.75
+_STRIPE_LEVEL, _AMBIENT_LEVEL = 0.6, 0.75
+"""Shares of full scale, white; speckle reaches twice the mean and more."""
+
 _REFERENCES = {
     "sphere": ("diameter",),
     "cylinder": ("diameter",),
@@ -250,6 +254,10 @@ def shape_of(table: PartTable, folder: Path = _HERE) -> Shape:
         return read_mesh_part(
             folder / table.file, table.mm_per_unit, material, stand=table.stand, fill_holes=table.fill_holes
         )
+    if isinstance(table, GeneratedTable):
+        shape = GENERATORS[table.name]().shape
+        stated = table.model_fields_set & {"albedo", "gloss", "gloss_width_deg", "roughness_um"}
+        return replace(shape, material=material) if stated else shape
     form = FormError(table.form_error_um, table.form_error_lobes, table.form_error_phase_deg)
     if isinstance(table, SphereTable):
         return Ball(table.diameter_mm, material, form)
