@@ -28,6 +28,8 @@ _STEP_MM = 1e-3
 _SAME_POINT = 1e-6
 """Part of the distance from the camera within which two hits are the same point."""
 _FULL_SCALE_DN = 255.0
+_PIXEL_VARIANCE_PX2 = 1.0 / 12.0
+"""Variance of a pixel's own area, by which it widens a profile."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class StripeTrace:
     points_base : (n, 3)   on the sheet and on a surface, mm
     uv : (n, 2)   their images, px
     normal : (n, 2)   unit normal of the stripe in the image
-    width_px : (n,)   standard deviation of the stripe's profile in the image, with the blur of the lens
+    width_px : (n,)   standard deviation of the stripe's profile in the image, with the blur of the lens and of the pixels' area
     intensity_dn : (n,)   height of the profile, grey values of an 8 bit image
     saturated : (n,)   the profile's core is clipped
     segment : (n,)   piece of smooth surface, numbered from 0
@@ -141,7 +143,7 @@ class _Scene:
     def _profile(
         self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """The stripe's normal and width in the image, and the part of its height that the blur of the lens leaves."""
+        """The stripe's normal and width in the image, and the part of its height that blur leaves."""
         laser = self.rig.laser
         sheet_normal = laser.plane_base.normal
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -153,7 +155,8 @@ class _Scene:
         distance_mm = np.linalg.norm(points - laser.position_base, axis=1)
         sharp_px = np.abs(px_per_mm) * sheet_sigma_mm(laser, distance_mm)
         depth_mm = (points - self.camera.origin_base) @ self.camera.base_from_view[:, 2]
-        width_px = np.hypot(sharp_px, self.rig.optics.blur_px_at(depth_mm, self.rig.camera.fx))
+        blur_px = self.rig.optics.blur_px_at(depth_mm, self.rig.camera.fx)
+        width_px = np.sqrt(sharp_px**2 + blur_px**2 + _PIXEL_VARIANCE_PX2)
         with np.errstate(invalid="ignore", divide="ignore"):
             return normal, width_px, sharp_px / width_px
 

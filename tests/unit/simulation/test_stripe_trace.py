@@ -195,13 +195,14 @@ def test_there_is_no_light_beyond_the_fan():
     assert np.degrees(angle.max()) == pytest.approx(3.0, abs=0.1)
 
 
-def test_width_is_that_of_the_sheet_on_the_surface_and_of_the_lens():
-    """Where the sheet falls at an angle on the table, its foot is wider than the sheet; the lens adds its blur."""
+def test_width_is_that_of_the_sheet_on_the_surface_of_the_lens_and_of_the_pixels():
+    """Where the sheet falls at an angle on the table, its foot is wider than the sheet; lens and pixels add their blur."""
     rig = build_rig((640, 480))
     bare = replace(rig, optics=Optics(blur_px=0.0))
     table = [table_disc(rig)]
     sharp, blurred = trace_stripe(bare, table), trace_stripe(rig, table)
     np.testing.assert_allclose(blurred.width_px, np.hypot(sharp.width_px, 0.8), rtol=1e-9)
+    foot_px = np.sqrt(sharp.width_px**2 - 1 / 12)  # without the area of the pixels
     # the profile's flank one sigma away from the sheet, on the table
     plane = rig.laser.plane_base
     shift = (
@@ -212,7 +213,7 @@ def test_width_is_that_of_the_sheet_on_the_surface_and_of_the_lens():
     )
     flank = rig.camera.project(rig.camera_from_base.apply(sharp.points_base + shift))
     across = ((flank - sharp.uv) * sharp.normal).sum(axis=1)
-    np.testing.assert_allclose(sharp.width_px, np.abs(across), rtol=0.01)
+    np.testing.assert_allclose(foot_px, np.abs(across), rtol=0.01)
 
 
 def test_brightness_falls_with_exposure_and_faint_points_are_lost():
