@@ -14,7 +14,7 @@ from rotaline.simulation.surface import Box, Distances, Faces, Surface, Vectors,
 
 _CORE_AMPLITUDES = 4.0
 _NEWTON_STEPS, _CONVERGED_MM = 8, 1e-9
-_SAMPLES, _BISECTIONS, _LOOK_MM = 40, 30, 1e-4
+_SAMPLES, _BISECTIONS, _LOOK_MM = 64, 30, 1e-4
 
 
 @dataclass(frozen=True)
@@ -213,8 +213,7 @@ class DisplacedSurface:
 
     def contains(self, points: Vectors) -> Bool[np.ndarray, " n"]:
         """See :class:`rotaline.simulation.surface.Surface`."""
-        heights, e, _ = self.displacement.at(points)
-        return self.exact.contains(points - heights[:, None] * e)
+        return self.exact.contains(self._exact_points(points))
 
     def _by_search(
         self, origin: Float[np.ndarray, "3"], directions: Vectors, t_hull: Distances
@@ -235,17 +234,18 @@ class DisplacedSurface:
             entered = self.contains(origin + middle[:, None] * d)
             low, high = np.where(entered, low, middle), np.where(entered, middle, high)
         t, faces = np.full(len(t_hull), np.inf), np.zeros(len(t_hull), int)
-        for ray, t_ray, direction in zip(rays.tolist(), high, d, strict=True):
-            faces[ray], touched = self._face_entered(origin + t_ray * direction, direction)
-            t[ray] = t_ray if touched else np.inf
+        step = _LOOK_MM / np.sqrt(dot_rows(d, d))
+        starts, ends = (self._exact_points(origin + t_near[:, None] * d) for t_near in (high - step, high + step))
+        for ray, t_ray, start, end in zip(rays.tolist(), high, starts, ends, strict=True):
+            # the face entered, looked at from close by along the curved ray
+            (t_look,), (face,) = self.exact.intersect(start, (end - start)[None])
+            t[ray], faces[ray] = (t_ray, face) if np.isfinite(t_look) else (np.inf, 0)
         return t, faces
 
-    def _face_entered(self, point: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> tuple[int, bool]:
-        """The face at an entry, looked at along the ray from close by; False if the ray does not even touch it."""
-        (height,), (e,), _ = self.displacement.at(point[None])
-        start = point - height * e - direction * (_LOOK_MM / np.linalg.norm(direction))
-        (t,), (face,) = self.exact.intersect(start, direction[None])
-        return int(face), bool(np.isfinite(t))
+    def _exact_points(self, points: Vectors) -> Vectors:
+        """Where points of bent space are in exact space."""
+        heights, e, _ = self.displacement.at(points)
+        return np.asarray(points - heights[:, None] * e)
 
     def normals(self, points: Vectors, faces: Faces) -> Vectors:
         """See :class:`rotaline.simulation.surface.Surface`."""

@@ -20,7 +20,6 @@ from rotaline.simulation.material import BRIGHT, MATT, Material
 from rotaline.simulation.polyhedra import PolyhedraSurface, box_solid, prism
 from rotaline.simulation.revolution import RevolutionSurface, SphereSurface
 from rotaline.simulation.surface import Box, Distances, Faces, Surface, Vectors, bevelled, meets_box, require_lengths
-from rotaline.simulation.surface import dot_rows as dot_rows
 
 
 @runtime_checkable

@@ -47,9 +47,9 @@ def box_interval(box: Box, origin: Float[np.ndarray, "3"], directions: Vectors) 
         for axis in range(3):
             slope = 1.0 / directions[:, axis]
             t_low, t_high = (box[0, axis] - origin[axis]) * slope, (box[1, axis] - origin[axis]) * slope
-            # a ray in the plane of a face gives 0 * inf = nan, which fmin and fmax pass over
-            t_in = np.fmax(t_in, np.fmin(t_low, t_high))
-            t_out = np.fmin(t_out, np.fmax(t_low, t_high))
+            # a ray in the plane of a face gives 0 * inf = nan, which sets no limit: fmax and fmin pass over it
+            t_in = np.fmax(t_in, np.minimum(t_low, t_high))
+            t_out = np.fmin(t_out, np.maximum(t_low, t_high))
     return t_in, t_out
 
 
