@@ -2,8 +2,8 @@
 
 Light that the lens spreads over a Gaussian falls on the pixel at the distance x with the share ``F(x) F(y)``,
 ``F(x) = Phi((x + 1/2) / s) - Phi((x - 1/2) / s)``. Pixels whose light is even give the pixel at the distance i
-``W(i) W(j)``, ``W`` the mean of ``F`` over a pixel. Sub-pixel points form a lattice: each stands for the same area, and hands its light to
-all pixels that its blur reaches.
+``W(i) W(j)``, ``W`` the mean of ``F`` over a pixel. A point inside a pixel stands for an area, and hands its light to all
+pixels that its blur reaches.
 """
 
 from functools import lru_cache
@@ -12,20 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
-_FIBONACCI = (5, 8, 13, 21, 34, 55, 89, 144, 233, 377)
 _SHARP_PX = 1e-3
-
-
-def subpixel_offsets(n_least: int) -> Float[np.ndarray, "n 2"]:
-    """Points of a pixel, -0.5 to 0.5, that are spread evenly: a lattice with n different coordinates along u and along v.
-
-    The number is the next one of Fibonacci's, from 8 to 377. The lattice equals its mirror image through the middle.
-    """
-    k = min(int(np.searchsorted(_FIBONACCI, n_least)), len(_FIBONACCI) - 1)
-    n, step = _FIBONACCI[k], _FIBONACCI[k - 1]
-    i = np.arange(n) - (n - 1) / 2
-    v = i * step / n
-    return np.stack([i / n, v - np.rint(v)], axis=1)
 
 
 def reach_px(sigma_px: float) -> int:
@@ -51,13 +38,17 @@ def pixel_kernel(sigma_px: float) -> Float[np.ndarray, " k"]:
     return np.asarray(kernel / kernel.sum())
 
 
-@lru_cache(maxsize=64)
-def point_kernels(n_points: int, sigma_px: float) -> Float[np.ndarray, "n k k"]:
+def point_kernels(offsets: Float[np.ndarray, "n 2"], sigma_px: float) -> Float[np.ndarray, "n k k"]:
     """Share of the light of each of a pixel's points that falls on the pixels around: index point, row, column.
 
     Together the points give what an even pixel gives.
+
+    Parameters
+    ----------
+    offsets : (n, 2)   of the points from the pixel's middle; each stands for the same area
+    sigma_px : of the blur
     """
-    u, v = subpixel_offsets(n_points).T
+    u, v = offsets.T
     reach, even = reach_px(sigma_px), pixel_kernel(sigma_px)
     away = np.arange(-reach, reach + 1)
     shares = _share(away - v[:, None], sigma_px)[:, :, None] * _share(away - u[:, None], sigma_px)[:, None, :]

@@ -10,16 +10,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rotaline.geometry.primitives import Plane, unit
 from rotaline.simulation.boards import Plate
 from rotaline.simulation.material import Material
-from rotaline.simulation.render import (
-    Placed,
-    _corner_xy,
-    _edges,
-    _Scene,
-    _seen_at_corners,
-    render_frame,
-    render_irradiance,
-)
+from rotaline.simulation.pixels import corner_xy, edge_pixels, seen_at_corners
+from rotaline.simulation.raycast import Placed
+from rotaline.simulation.render import render_frame, render_irradiance
 from rotaline.simulation.rig import Laser, Optics, Rig, Sensor, build_rig
+from rotaline.simulation.scene import Scene
 from rotaline.simulation.shapes import Ball, Block, Rod
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Checkerboard
@@ -225,9 +220,9 @@ def test_only_edges_of_a_fine_mesh_are_split():
     rig, _, _ = _level_scene()
     ball = Placed(_Facetted(40.0), RigidTransform.identity())
     smooth = Placed(Ball(40.0), RigidTransform.identity())
-    scenes = [_Scene.of(rig, [part]) for part in (ball, smooth)]
-    xy = _corner_xy(rig.camera, 0)
-    counts = [int(_edges(_seen_at_corners(scene, xy, False), rig.camera.fx).sum()) for scene in scenes]
+    scenes = [Scene.of(rig, [part]) for part in (ball, smooth)]
+    xy = corner_xy(rig.camera, 0)
+    counts = [int(edge_pixels(seen_at_corners(scene, xy, False), rig.camera.fx).sum()) for scene in scenes]
     assert 50 < counts[0] <= 1.2 * counts[1]
 
 
