@@ -113,11 +113,8 @@ class RevolutionSurface:
                 if normal_r == 0.0:
                     t_face = (z0 - oz) / dz
                     x, y = ox + t_face * dx, oy + t_face * dy
-                    square = x * x + y * y
-                    low, high = sorted((r0, r1))
-                    entered = (dz * normal_z < 0) & (square <= (high + _SEAM_MM) ** 2)
-                    if low > 0:
-                        entered &= square >= (low - _SEAM_MM) ** 2
+                    # the outline goes up: who meets a ring within its inner edge has entered above or below before
+                    entered = (dz * normal_z < 0) & (x * x + y * y <= (max(r0, r1) + _SEAM_MM) ** 2)
                 else:
                     slope = (r1 - r0) / (z1 - z0)
                     w = r0 + slope * (oz - z0)

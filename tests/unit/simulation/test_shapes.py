@@ -238,6 +238,12 @@ def test_a_ray_along_a_face_hits_only_from_within_its_height():
         assert t[0] == pytest.approx(expected)
 
 
+def test_a_ray_along_the_groove_passes_through_it():
+    for x, z, expected in ((0.0, 12.0, np.inf), (-4.9, 12.0, np.inf), (0.0, 6.9, 50.0), (6.0, 12.0, 50.0)):
+        t, _ = CASES["groove"].shape.intersect(np.array([x, -60.0, z]), np.array([[0.0, 1.0, 0.0]]))
+        assert t[0] == pytest.approx(expected)
+
+
 def test_faces_in_one_plane_have_one_number_and_the_two_at_an_edge_have_two():
     groove = CASES["groove"].shape
     side = np.array([[-1.0, 0.0, z] for z in (-0.15, 0.0, 0.1)])  # below and above the floor of the groove
