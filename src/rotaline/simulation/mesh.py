@@ -183,9 +183,8 @@ class MeshPart:
         inside = _weights(planes, origin_middle + t[:, None] * unit)
         # single precision may name the neighbour of the triangle: a ray that grazes its plane would meet that far away
         (beside,) = np.nonzero(inside.min(axis=1) < 0)
-        weights = _on_rim(inside[beside])
         corners = self.vertices[self.triangles[triangle[beside]]] - self._middle
-        t[beside] = dot_rows(np.einsum("nk,nki->ni", weights, corners) - origin_middle, unit[beside])
+        t[beside] = _nearest_on_rim(origin_middle, unit[beside], corners)
         return t
 
     def normals(self, points: Vectors, faces: Faces) -> Vectors:
@@ -210,6 +209,19 @@ def _weights(planes: Float[np.ndarray, "n 3 4"], points: Vectors) -> Float[np.nd
     second = dot_rows(planes[:, 1, :3], points) + planes[:, 1, 3]
     third = dot_rows(planes[:, 2, :3], points) + planes[:, 2, 3]
     return np.stack([1.0 - second - third, second, third], axis=1)
+
+
+def _nearest_on_rim(origin: Float[np.ndarray, "3"], unit: Vectors, corners: Float[np.ndarray, "n 3 3"]) -> Distances:
+    """How far along rays that pass beside triangles the nearest point of the triangle's rim is, mm."""
+    from_origin, edges = corners - origin, corners[:, [1, 2, 0]] - corners
+    aside, edges_aside = (
+        v - np.einsum("nki,ni->nk", v, unit)[:, :, None] * unit[:, None] for v in (from_origin, edges)
+    )
+    square = np.maximum(np.einsum("nki,nki->nk", edges_aside, edges_aside), 1e-300)
+    s = np.clip(-np.einsum("nki,nki->nk", aside, edges_aside) / square, 0.0, 1.0)[:, :, None]
+    nearest = np.linalg.norm(aside + s * edges_aside, axis=2).argmin(axis=1)
+    rows = np.arange(len(unit))
+    return dot_rows((from_origin + s * edges)[rows, nearest], unit)
 
 
 def _on_rim(weights: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from rotaline.simulation.mesh import MeshPart, open_half_edges
 from rotaline.simulation.shapes import Ball, Shape
@@ -88,6 +89,33 @@ def test_no_ray_slips_through_where_triangles_meet():
     t, _ = BALL.intersect(EYE, -towards[seen])
     assert seen.sum() > 20_000
     assert np.abs(t - 1.0).max() * np.linalg.norm(EYE) < 1e-4
+
+
+def test_hits_stay_on_the_part_where_a_ray_grazes_it():
+    # the eye is nearly in the plane of a face, the targets are a little beside the edge of that face; askew, for rounding
+    turned = Rotation.from_rotvec([0.3, 0.5, -0.4]).as_matrix()
+    askew = MeshPart(CUBE.vertices @ turned.T, CUBE.triangles)
+    rng = np.random.default_rng(4)
+    found = 0
+    for above in (1e-7, 1e-6, 1e-5):
+        eye = np.array([200.0, 10.0 + above, 3.0])
+        aside = 10.0 + rng.uniform(-2e-5, 2e-5, 2000)
+        targets = np.column_stack([np.full(2000, 10.0), aside, rng.uniform(-9, 9, 2000)])
+        t, _ = askew.intersect(turned @ eye, (targets - eye) @ turned.T)
+        hit = np.isfinite(t)
+        found += hit.sum()
+        points = eye + t[hit, None] * (targets - eye)[hit]
+        assert np.abs(points).max() < 10.0 + 3e-5
+    assert found > 2000
+
+
+def test_the_triangle_is_right_to_a_ten_thousandth_of_a_millimetre_from_three_metres_away():
+    eye = np.array([2400.0, 1700.0, 900.0])
+    z = np.linspace(-9.0, 9.0, 500)
+    for beside, normal in (([10.0, 10.0 - 5e-5], [1, 0, 0]), ([10.0 - 5e-5, 10.0], [0, 1, 0])):
+        targets = np.column_stack([np.tile(beside, (500, 1)), z])
+        _, faces = CUBE.intersect(eye, targets - eye)
+        assert np.allclose(CUBE.normals(targets, faces), normal)
 
 
 def test_a_fine_mesh_of_a_ball_looks_like_the_ball():
