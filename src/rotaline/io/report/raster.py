@@ -126,10 +126,13 @@ def hidden(
     points: Float[np.ndarray, "n 3"],
     vertices: Float[np.ndarray, "v 3"],
     view: View,
-    reach_mm: float = 0.8,
-    behind_mm: float = 1.5,
+    reach_mm: float = 0.5,
+    behind_mm: float = 2.5,
 ) -> Bool[np.ndarray, " n"]:
-    """Which points a dense mesh hides: a vertex within ``reach_mm`` beside the point is ``behind_mm`` nearer to the viewer."""
+    """Which points a dense mesh hides: a vertex within ``reach_mm`` beside the point is ``behind_mm`` nearer to the viewer.
+
+    On a surface that is seen obliquely the neighbours of a point are nearer, too: by less than that down to 12 deg.
+    """
     at, mesh = ((p - view.centre) @ view.rotation.T for p in (points, vertices))
     return np.array(
         [

@@ -99,15 +99,15 @@ def test_a_narrow_table_has_ours_beside_the_article_without_empty_columns():
 
 
 def test_a_wide_table_has_ours_below_the_article():
-    cells = tuple(cell(0.01 * i, 0.02, None) for i in range(4))
-    columns = tuple(f"small, error {i} / mm" for i in range(4))
+    cells = tuple(cell(0.01 * i, 0.02, None) for i in range(5))
+    columns = tuple(f"small, error {i} / mm" for i in range(5))
     table = comparison_table(ComparisonTable("Table 2", "Stepped", columns, (TableRow("W1", cells),)))
     assert [(r.cells[:3], r.kind) for r in table.rows] == [
         (("W1", "article", "0.0000"), "plain"),
         (("", "its method", "0.0200"), "continued"),
     ]
     assert (table.columns[2].group, table.columns[2].label) == ("small", "error 0")
-    assert table.rows[1].marks == ("", "", "worse", "worse", "worse", "worse")
+    assert table.rows[1].marks == ("", "", *["worse"] * 5)
 
 
 def test_the_budget_says_where_one_error_gives_the_articles_figure(full_reproduction):
@@ -138,6 +138,13 @@ def test_a_close_view_looks_at_the_detail_from_outside(full_reproduction):
     assert view.rotation[2] @ detail.direction_table > 0.9
     np.testing.assert_allclose(picture_position(detail.position_table[None], view)[0], (149.5, 149.5, 0.0), atol=1e-9)
     assert view.mm_per_px * view.size_px[0] == pytest.approx(5.0 * detail.radius_mm)
+
+
+@pytest.mark.parametrize("tip", [(150.0, 150.0), (290.0, 150.0), (150.0, 2.0), (3.0, 297.0)])
+def test_the_number_of_an_arrow_stands_in_the_picture_and_away_from_its_tip(tip):
+    at = complex_parts._place_beside(np.array(tip), np.array([300.0, 300.0]))
+    assert ((at >= 20.0) & (at <= 280.0)).all()
+    assert np.linalg.norm(at - tip) > 25.0
 
 
 def test_a_point_behind_the_mesh_is_hidden_and_one_in_front_is_not():

@@ -47,7 +47,7 @@ def mean_distances(calibration: ArtifactCalibration) -> Figure:
 
 def feature_circles(mount: ArtifactMount, artifact: SteppedCylinder | None) -> Figure:
     """Top view of the four feature circles before and after, against the ideal ones, deviations exaggerated (figure 14a)."""
-    figure = style.new_figure(style.FULL_INCH, 2.95)
+    figure = style.new_figure(style.FULL_INCH, 3.2)
     axes = figure.subplots(1, 4)
     before = _in_part(mount.features_before_base, mount.base_from_part_before)
     after = _in_part(mount.features_base, mount.base_from_part)

@@ -25,7 +25,7 @@ from rotaline.io.report.raster import (
 )
 from rotaline.io.report.reproduction import ComplexPartResult, DetailResult
 
-VIEWPOINTS_DEG = ((20.0, 18.0), (110.0, 18.0), (200.0, 18.0), (290.0, 18.0))
+VIEWPOINTS_DEG = ((20.0, 25.0), (110.0, 25.0), (200.0, 25.0), (290.0, 25.0))
 VIEWPOINT_NAMES = ("20° from x", "110° from x", "200° from x", "290° from x")
 _PANEL_PX = (440, 440)
 _RATIO = 480.0 / 440.0
@@ -33,6 +33,7 @@ DETAILS_A_ROW = 4
 _CLOSE_PX = (300, 300)
 _CLOSE_RATIO = 327.0 / 300.0
 _FACING = 0.25
+_MARGIN_PX = 22.0
 _UNKNOWN = np.array([0.55, 0.55, 0.55])
 
 
@@ -173,10 +174,7 @@ def _near(part: ComplexPartResult, view: View) -> Any:
 def _arrow(ax: Axes, detail: DetailResult, number: int, view: View) -> None:
     """An arrow from outside the part to the detail, with its number; red where it was not resolved."""
     (tip,) = picture_position(detail.position_table[None], view)
-    middle = np.array(view.size_px) / 2.0
-    away = tip[:2] - middle
-    away = away / np.linalg.norm(away) if np.linalg.norm(away) > 20.0 else np.array([0.7, -0.7])
-    tail = np.clip(tip[:2] + 0.17 * view.size_px[0] * away, 14.0, np.array(view.size_px) - 14.0)
+    tail = _place_beside(tip[:2], np.array(view.size_px, dtype=float))
     colour = style.INK if detail.resolved else style.VERMILION
     ax.annotate(
         str(number),
@@ -190,3 +188,14 @@ def _arrow(ax: Axes, detail: DetailResult, number: int, view: View) -> None:
         bbox={"boxstyle": "circle,pad=0.18", "facecolor": "white", "edgecolor": colour, "linewidth": 0.9},
         arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.2, "shrinkA": 0.0, "shrinkB": 1.0},
     )
+
+
+def _place_beside(tip: Float[np.ndarray, "2"], size_px: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+    """Where the number of an arrow stands: away from the middle of the picture, or to a side where there is more room."""
+    away = np.arctan2(*(tip - size_px / 2)[::-1])
+    length = 0.17 * size_px[0]
+    turns = np.deg2rad([0.0, 50.0, -50.0, 100.0, -100.0])
+    ideal = tip + length * np.stack([np.cos(away + turns), np.sin(away + turns)], axis=1)
+    within = np.clip(ideal, _MARGIN_PX, size_px - _MARGIN_PX)
+    enough = np.linalg.norm(within - tip, axis=1) > 0.8 * length
+    return np.asarray(within[int(np.argmax(enough))])

@@ -9,8 +9,8 @@ from rotaline.io.report.page import Block, Column, Paragraph, Row, Table
 from rotaline.io.report.reproduction import Budget, BudgetSource, Comparison, ComparisonTable
 
 _SOURCES = ("article", "its method", "default")
-_MOST_BESIDE = 3
-"""Columns of the article that leave room for ours beside each."""
+_MOST_BESIDE = 9
+"""Columns of figures that a page has room for."""
 NOT_DONE = "This experiment was not done: see the warnings."
 
 
@@ -30,9 +30,8 @@ def comparison_table(table: ComparisonTable) -> Table:
     note = " ".join(_sentence(n) for n in notes)
     if len(table.columns) <= 1:
         return _list(table, caption, note)
-    if len(table.columns) <= _MOST_BESIDE:
-        return _beside(table, caption, note)
-    return _below(table, caption, note)
+    kept = _filled(table)
+    return _beside(table, kept, caption, note) if len(kept) <= _MOST_BESIDE else _below(table, caption, note)
 
 
 def _values(c: Comparison) -> tuple[float | None, float | None, float | None]:
@@ -60,15 +59,19 @@ def _list(table: ComparisonTable, caption: str, note: str) -> Table:
     return Table(caption, columns, rows, note)
 
 
-def _beside(table: ComparisonTable, caption: str, note: str) -> Table:
-    """Up to three columns for each of the article's; those without any value are left out."""
-    units = _units(table)
-    kept = [
+def _filled(table: ComparisonTable) -> list[tuple[int, int]]:
+    """Columns of the article and sources (see ``_SOURCES``) that have a value in some row."""
+    return [
         (i, k)
         for i in range(len(table.columns))
-        for k in range(3)
+        for k in range(len(_SOURCES))
         if any(i < len(row.cells) and _values(row.cells[i])[k] is not None for row in table.rows)
     ]
+
+
+def _beside(table: ComparisonTable, kept: list[tuple[int, int]], caption: str, note: str) -> Table:
+    """Up to three columns for each of the article's."""
+    units = _units(table)
     columns = (
         Column("No.", numeric=False),
         *(Column(_SOURCES[k], units[i], group=_bare(table.columns[i], units[i])) for i, k in kept),

@@ -40,7 +40,8 @@ def _stepped(reproduction: Reproduction) -> Section:
 
 
 def _column_picture(table: ComparisonTable, lengths: list[tuple[ComparisonTable, int]]) -> Picture:
-    caption = f"{table.place}: magnitudes of the diameter errors in µm, before and after the optimisation of the axis."
+    place = table.place[:1].lower() + table.place[1:]
+    caption = f"The article's {place}: magnitudes of the diameter errors in µm, before and after the optimisation of the axis."
     return picture(lambda: figures.columns(lengths), caption)
 
 
@@ -58,7 +59,7 @@ def _parts(section: PartsSection | None) -> Section:
                 (
                     picture(
                         lambda: figures.columns(errors),
-                        "Magnitudes of the errors of tables 3 to 5 (ball, cylinder, groove), in µm, in five positions and on average.",
+                        "Magnitudes of the errors of the article's tables 3 to 5 (ball, cylinder, groove), in µm, in five positions and on average.",
                     ),
                 )
             )
@@ -70,7 +71,7 @@ def _parts(section: PartsSection | None) -> Section:
         if measurement is None or points is None or len(points.points_table) == 0:
             continue
         blocks += [
-            Heading(f"{_capital(entry.name or entry.feature)}, first position"),
+            Heading(f"{_capital(entry.feature)}, first position"),
             Gallery(
                 (
                     picture(
