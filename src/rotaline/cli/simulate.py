@@ -38,6 +38,7 @@ def simulate(
     from rotaline.cli.console import ConsoleObserver
     from rotaline.io.rig_file import preset_text, quick_look, read_preset, read_rig_file
     from rotaline.pipeline.run import results_folder
+    from rotaline.simulation.checks import require_scene
     from rotaline.simulation.session import unfinished, write_session
     from rotaline.simulation.truth import truth_path
 
@@ -62,6 +63,8 @@ def simulate(
     shapes = {id(placed.shape): placed.shape for c in plan.captures for placed in c.shots[0].on_table}
     for note in (note for shape in shapes.values() for note in getattr(shape, "notes", ())):
         observer.warning(note)
+    for problem in require_scene(rig, plan):
+        observer.warning(str(problem))
     observer.stage(f"Rendering {plan.n_frames} frames into {out}", stored=False)
     if left is not None:
         observer.note(

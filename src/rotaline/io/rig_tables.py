@@ -38,9 +38,7 @@ class CameraTable(Table):
     """Where the camera is, its lens and its distortion."""
 
     position_mm: Vector = key(..., "projection centre: x, y, z")
-    look_at_mm: Vector = key(
-        (0.0, 0.0, 24.0), "a point that the middle of the image shows (less the principal point's offset)"
-    )
+    look_at_mm: Vector = key((0.0, 0.0, 24.0), "a point on the optical axis")
     roll_deg: Number = key(0.0, "turn of the camera about its optical axis; 0: upright, 90: on its side")
     image_size: Size = key((1280, 960), "width, height, pixels")
     focal_length_mm: Positive = key(9.0, "focal length of the lens, focused as it is")
