@@ -13,6 +13,7 @@ from rotaline.simulation.boards import Plate
 from rotaline.simulation.plan import axis_capture, camera_capture, demo_plan, laser_capture, table_disc
 from rotaline.simulation.poses import in_image, is_sharp
 from rotaline.simulation.rig import Optics, build_rig
+from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid
 
 BOARD = Checkerboard((14, 9), 4.5)
@@ -193,6 +194,15 @@ def test_a_plate_with_errors_is_recorded_as_it_is():
     ):
         for shot in capture.shots:
             assert (*shot.held, *shot.on_table)[0].shape == plate
+
+
+def test_a_distortion_that_folds_does_not_bring_outside_points_into_view():
+    camera = CameraModel((640, 480), 600.0, 600.0, 320.0, 240.0, k1=-0.5)
+    points_camera = 300.0 * np.array([[0.1, 0.0, 1.0], [1.2, 0.0, 1.0], [0.1, 0.0, -1.0]])
+    folded = camera.project(points_camera)[1]
+    assert np.all((folded > 0) & (folded < camera.image_size))
+    assert in_image(camera, points_camera).tolist() == [True, False, False]
+    assert in_image(camera, points_camera, margin_px=300.0).tolist() == [False] * 3
 
 
 def _looking_away(rig):
