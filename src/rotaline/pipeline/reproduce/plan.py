@@ -18,6 +18,7 @@ from rotaline.pipeline.reproduce.article import (
     STEPPED_CYLINDER,
 )
 from rotaline.simulation.boards import Plate
+from rotaline.simulation.complex_parts import ComplexPart
 from rotaline.simulation.plan import (
     CapturePlan,
     SessionPlan,
@@ -25,6 +26,7 @@ from rotaline.simulation.plan import (
     camera_capture,
     full_turn,
     laser_capture,
+    laser_on,
     mount,
     scan_capture,
 )
@@ -37,7 +39,7 @@ MOUNT_SEED, POSITION_SEED = 11, 12
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is rendered: the rig as the text of a rig file, and how many frames of what."""
+    """How much is rendered: the rig as the text of a rig file, how many frames of what, which parts and levels the budget has."""
 
     rig_toml: str
     n_camera_views: int
@@ -46,10 +48,24 @@ class Effort:
     n_artifact_frames: int
     n_part_frames: int
     n_complex_frames: int
+    n_budget_stepped: int
+    n_budget_part: int
+    budget_parts: tuple[str, ...]
+    budget_levels: slice
 
 
 FULL = Effort(
-    'preset = "article"\n', N_CAMERA_VIEWS, N_LASER_POSES, AXIS_STEP_DEG, round(360 / ARTIFACT_STEP_DEG), 90, 180
+    'preset = "article"\n',
+    N_CAMERA_VIEWS,
+    N_LASER_POSES,
+    AXIS_STEP_DEG,
+    round(360 / ARTIFACT_STEP_DEG),
+    90,
+    240,
+    45,
+    24,
+    ("ball", "cylinder", "groove"),
+    slice(None),
 )
 QUICK = Effort(
     """preset = "article"
@@ -64,7 +80,11 @@ blur_px = 0.5
     4.0,
     30,
     24,
-    60,
+    72,
+    24,
+    12,
+    ("ball",),
+    slice(-1, None),
 )
 
 
@@ -83,6 +103,17 @@ PARTS = (
     Part("cylinder", "rod", "cylinder", "diameter"),
     Part("groove", "groove", "groove", "depth"),
 )
+
+
+COMPLEX_TITLES = {
+    "bust": "Bust",
+    "casting_with_flash": "Casting with flash",
+    "rubber_model": "Rubber model",
+    "thread_connector": "Pipe connector with a thread",
+}
+"""The parts of figure 16, by their name in :mod:`rotaline.simulation.complex_parts`."""
+
+_PHOTO_ANGLE_DEG, _PHOTO_LIGHT = 20.0, 0.8
 
 
 def mount_names() -> tuple[str, ...]:
@@ -119,7 +150,7 @@ def session_plans(rig_file: RigFile, effort: Effort, seed: int) -> Mapping[str, 
         stepped = scan_capture(
             rig, shape, stand, turn, folder=f"stepped-{name}", role="artifact", target="stepped-cylinder"
         )
-        axis = _board_on_table(rig, checkerboard, f"axis-{name}", effort, k, seed)
+        axis = board_on_table(rig, checkerboard, f"axis-{name}", effort, k, seed)
         plans[name] = SessionPlan(targets, (axis, stepped), seed=seed + k + 1)
     for p, part in enumerate(PARTS):
         shape = shape_of(tables.parts[part.in_rig_file])
@@ -129,6 +160,17 @@ def session_plans(rig_file: RigFile, effort: Effort, seed: int) -> Mapping[str, 
             for k, stand in enumerate(stands)
         )
         plans[part.name] = SessionPlan(targets, captures, seed=seed + 100 + p)
+    return plans
+
+
+def complex_plans(rig: Rig, parts: Mapping[str, ComplexPart], effort: Effort, seed: int) -> Mapping[str, SessionPlan]:
+    """A session for each part of figure 16: the scan, and one frame with the light on."""
+    plans = {}
+    for p, (name, part) in enumerate(parts.items()):
+        scan = scan_capture(rig, part.shape, mount(1.2, -0.8, 15.0), full_turn(effort.n_complex_frames), folder=name)
+        photo = laser_on(rig, _PHOTO_LIGHT, angle_deg=_PHOTO_ANGLE_DEG, on_table=scan.shots[0].on_table)
+        captures = (scan, CapturePlan(f"{name}-photo", "scan", None, (photo,)))
+        plans[name] = SessionPlan({}, captures, seed=seed + 200 + p)
     return plans
 
 
@@ -143,7 +185,7 @@ def _stands(n: int, nearest_mm: float, farthest_mm: float, *seed: int) -> list[R
     return stands
 
 
-def _board_on_table(rig: Rig, board: Plate, folder: str, effort: Effort, k: int, seed: int) -> CapturePlan:
+def board_on_table(rig: Rig, board: Plate, folder: str, effort: Effort, k: int, seed: int) -> CapturePlan:
     """The checkerboard on the table, put down anew for mount k: shifted by up to 1.5 mm and turned by up to 2 deg."""
     rng = np.random.default_rng([seed, MOUNT_SEED, 100 + k])
     n = round(AXIS_RANGE_DEG / effort.axis_step_deg) + 1

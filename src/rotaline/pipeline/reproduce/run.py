@@ -13,20 +13,24 @@ from rotaline.io.rig_file import parse_rig
 from rotaline.pipeline.observer import Observer
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.reproduce.article import ARTICLE_OPTIONS
+from rotaline.pipeline.reproduce.budget import BudgetBench, make_budget
+from rotaline.pipeline.reproduce.complex import complex_parts_section
 from rotaline.pipeline.reproduce.experiments import (
     calibrate_all,
     initial_axis_section,
     mounts_section,
     sensor_section,
     simulation_section,
+    system_of,
 )
 from rotaline.pipeline.reproduce.measured import claims_table, disturbed_table, parts_section, stepped_table
-from rotaline.pipeline.reproduce.plan import FULL, QUICK, session_plans
+from rotaline.pipeline.reproduce.plan import FULL, QUICK, complex_plans, session_plans
 from rotaline.pipeline.reproduce.rows import RULE, changed_options
 from rotaline.pipeline.reproduce.sessions import joined, render_session
-from rotaline.pipeline.reproduce.workbench import Workbench
-from rotaline.pipeline.store import check_writable
+from rotaline.pipeline.reproduce.workbench import QuietObserver, Workbench
+from rotaline.pipeline.store import StageStore, check_writable
 from rotaline.pipeline.summary import machine, versions
+from rotaline.simulation.complex_parts import complex_parts
 
 T = TypeVar("T")
 
@@ -51,22 +55,30 @@ def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: in
     effort = QUICK if quick else FULL
     rig_file = parse_rig(effort.rig_toml, "preset article")
     rig = rig_file.rig()
-    plans = session_plans(rig_file, effort, seed)
+    shapes = complex_parts()
+    plans = {**session_plans(rig_file, effort, seed), **complex_plans(rig, shapes, effort, seed)}
     sessions = {name: render_session(folder / "sessions", name, rig, plan, observer) for name, plan in plans.items()}
-    bench = Workbench(joined(sessions), folder / "stages", observer)
+    store = StageStore(folder / "stages", QuietObserver(observer), keep_variants=True)
+    bench = Workbench(joined(sessions), store, observer)
     attempts = _Attempts(observer, [])
     found = attempts.do("Calibration", lambda: calibrate_all(bench))
     sensor = attempts.do("Section 5.2", lambda: sensor_section(bench, rig))
-    initial = mounts = stepped = disturbed = parts = None
+    initial = mounts = stepped = disturbed = parts = complex_section = None
     if found is not None:
         initial = attempts.do("Section 5.3", lambda: initial_axis_section(bench, rig, found))
         mounts = attempts.do("Section 5.5", lambda: mounts_section(bench, rig, found))
         stepped = attempts.do("Table 2", lambda: stepped_table(bench, found))
         disturbed = attempts.do("Table 2, disturbed", lambda: disturbed_table(bench, found, rig))
         parts = attempts.do("Tables 3 to 5", lambda: parts_section(bench, found))
+        final = system_of(found.together)
+        complex_section = attempts.do(
+            "Figure 16", lambda: complex_parts_section(bench, store, plans, shapes, final, rig, Options())
+        )
     simulation = simulation_section()
     claims = claims_table(sensor, mounts.table if mounts else None, stepped, disturbed, parts)
-    bench.tidy()
+    limits = BudgetBench(rig_file, effort, seed, folder / "sessions", store, observer)
+    budget = attempts.do("Budget", lambda: make_budget(limits))
+    store.forget_unused()
     info = ReproductionInfo(
         quick=quick,
         rig="article",
@@ -82,7 +94,7 @@ def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: in
         warnings=tuple(attempts.failures),
     )
     return Reproduction(
-        info, claims, sensor, initial, simulation, mounts, stepped, disturbed, parts, complex_parts=None, budget=None
+        info, claims, sensor, initial, simulation, mounts, stepped, disturbed, parts, complex_section, budget
     )
 
 

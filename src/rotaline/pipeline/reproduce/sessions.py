@@ -9,7 +9,6 @@ from rotaline.errors import OutputError
 from rotaline.io.files import output_error, whole_file
 from rotaline.io.session import Session, read_session
 from rotaline.pipeline.observer import Observer
-from rotaline.pipeline.store import key_of
 from rotaline.simulation.plan import SessionPlan
 from rotaline.simulation.rig import Rig
 from rotaline.simulation.session import fingerprint, write_session
@@ -17,7 +16,7 @@ from rotaline.simulation.truth import truth_path
 
 
 def render_session(folder: Path, name: str, rig: Rig, plan: SessionPlan, observer: Observer) -> Session:
-    """The session ``folder/name``, rendered unless it is there already, from the same rig and plan by the same program.
+    """The session ``folder/name``, rendered unless it is there already, from the same rig and plan by the same renderer.
 
     Raises
     ------
@@ -25,7 +24,7 @@ def render_session(folder: Path, name: str, rig: Rig, plan: SessionPlan, observe
         If it cannot be written.
     """
     path, key_file = folder / name, folder / f"{name}.key"
-    wanted = key_of(name, fingerprint(rig, plan))
+    wanted = fingerprint(rig, plan)
     stored = path.is_dir() and key_file.is_file() and key_file.read_text(encoding="utf-8") == wanted
     observer.stage(f"Rendering {name}", stored)
     if not stored:

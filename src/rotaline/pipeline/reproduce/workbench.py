@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from pathlib import Path
 
 from rotaline.calibration.model import SystemCalibration
 from rotaline.io.report.contents import FrameOverlay
@@ -11,6 +10,7 @@ from rotaline.io.results import MeasurementEntry
 from rotaline.io.session import Capture, Session
 from rotaline.io.session_file import MeasurementRequest
 from rotaline.pipeline.calibrate import CalibrationParts, Calibrator, stored_stripes
+from rotaline.pipeline.frames import CaptureStripes
 from rotaline.pipeline.observer import Observer, Silent
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.parts import make_cloud, measure_request, system_at_optical_axis
@@ -31,12 +31,12 @@ class QuietObserver(Silent):
 
 
 class Workbench:
-    """A joined session; every call gives a value, from the results stored in ``folder`` where they are still valid."""
+    """A joined session; every call gives a value, from the store where it is still valid."""
 
-    def __init__(self, session: Session, folder: Path, observer: Observer) -> None:
+    def __init__(self, session: Session, store: StageStore, observer: Observer) -> None:
         self._session = session
+        self._store = store
         self._observer = QuietObserver(observer)
-        self._store = StageStore(folder, self._observer, keep_variants=True)
 
     @property
     def session(self) -> Session:
@@ -57,10 +57,13 @@ class Workbench:
         alone = replace(self._session, captures=(self.capture(capture),))
         return frame_overlays(alone, self._store, options, self._observer)
 
+    def stripes(self, capture: str, options: Options) -> tuple[CaptureStripes, str]:
+        """The stripes of a capture, and their key."""
+        return stored_stripes(self.capture(capture), options, self._store, self._observer)
+
     def cloud(self, capture: str, system: SystemCalibration, options: Options) -> PointCloud:
         """The cloud of a capture in the table frame of ``system``."""
-        stripes, _ = stored_stripes(self.capture(capture), options, self._store, self._observer)
-        return make_cloud(stripes, system_at_optical_axis(system), options.scan)
+        return make_cloud(self.stripes(capture, options)[0], system_at_optical_axis(system), options.scan)
 
     def measure(
         self,
@@ -72,7 +75,7 @@ class Workbench:
         by: str,
     ) -> MeasurementEntry:
         """One feature in the cloud of a capture; ``by`` names the system, for the store."""
-        stripes, stripe_key = stored_stripes(self.capture(capture), options, self._store, self._observer)
+        stripes, stripe_key = self.stripes(capture, options)
         nominal = reference if feature == "stepped-cylinder" else {}
         request = MeasurementRequest.model_validate(
             {"capture": capture, "feature": feature, "reference": reference, "nominal": nominal}
@@ -84,7 +87,3 @@ class Workbench:
             return measure_request(request, cloud, options.measure)
 
         return self._store.get(f"measure-{capture}-{by}", f"{feature} in {capture}, {by}", key, compute)
-
-    def tidy(self) -> None:
-        """Remove stored results that nothing has asked for: those of other seeds, of an older program."""
-        self._store.forget_unused()
