@@ -21,7 +21,9 @@ from rotaline.simulation.shapes import Shape
 from rotaline.simulation.stripe_trace import trace_stripe
 
 _LEAST_ANGLE_DEG, _GOOD_ANGLE_DEG = 5.0, 15.0
-_LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 0.3, 7.5
+_LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 0.4, 7.5
+"""Standard deviation of the stripe in the image; a pixel's own area alone gives 0.29."""
+
 _FAINT_DN, _DARK_DN = 8.0, 25.0
 _SATURATED_SHARE, _CUT_SHARE = 0.2, 0.02
 _STANDS_MM = 1.0

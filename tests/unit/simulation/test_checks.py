@@ -153,7 +153,7 @@ def test_a_part_that_cannot_be_measured_is_an_error(rig, plan_options, text):
         (
             replace(_with_laser(RIG, sigma_mm=0.05), optics=Optics(blur_px=0.0)),
             {},
-            r"the stripe is 0\.\d px wide .* too narrow",
+            r"the stripe is 1\.\d px wide .* too narrow",
         ),
         (_with_laser(RIG, sigma_mm=6.0), {}, r"the stripe is \d\d\.\d px wide .* too wide"),
         (_with_light(RIG, exposure_on_ms=80.0), {}, r"\d+ % of the stripe is saturated"),
