@@ -5,7 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rotaline.io.report.figures import complex_parts
+from rotaline.geometry.primitives import Line
+from rotaline.io.report.figures import comparison, complex_parts
+from rotaline.io.report.figures.axis import across
 from rotaline.io.report.raster import View, hidden, picture_position, render_mesh, view_rotation
 from rotaline.io.report.reproduction import Comparison, ComparisonTable, TableRow
 from rotaline.io.report.reproduction_page import render_reproduction, write_reproduction
@@ -122,6 +124,20 @@ def test_the_budget_says_where_one_error_gives_the_articles_figure(full_reproduc
     assert levels.rows[9].cells[-1] == "–"
 
 
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_initial_axis_is_drawn_where_it_is_beside_the_true_one(full_reproduction, sense):
+    section = full_reproduction.initial_axis
+    fitted = section.axis.axis_camera
+    shift = 0.05 * across(fitted)[0]
+    moved = Line(fitted.point + shift - 17.0 * fitted.direction, sense * fitted.direction)
+    ax, ax_height, _ = comparison.centres_and_truth(dataclasses.replace(section, true_axis_camera=moved)).axes
+    (line,) = [one for one in ax.lines if str(one.get_label()).startswith("initial axis")]
+    np.testing.assert_allclose(np.hypot(*line.get_data()), 50.0, rtol=1e-9)
+    heights = ax_height.lines[0].get_xdata()
+    assert heights.min() == 0.0
+    assert heights.max() == pytest.approx(np.ptp(section.axis.circle_centres_camera @ fitted.direction))
+
+
 def test_details_are_marked_where_they_face_the_viewer(full_reproduction):
     part = full_reproduction.complex_parts.parts[0]
     for detail, index in zip(part.details, range(3), strict=True):
@@ -130,6 +146,8 @@ def test_details_are_marked_where_they_face_the_viewer(full_reproduction):
         away = View(view_rotation(azimuth + 180.0, 0.0), np.array([0.0, 0.0, 25.0]), 0.2, (300, 300))
         assert index in complex_parts.seen_details(part, towards)
         assert index not in complex_parts.seen_details(part, away)
+        open_part = dataclasses.replace(part, triangles=part.triangles[:1])  # nothing is left to hide it
+        assert index not in complex_parts.seen_details(open_part, away)
 
 
 def test_a_close_view_looks_at_the_detail_from_outside(full_reproduction):
