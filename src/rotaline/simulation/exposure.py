@@ -33,7 +33,9 @@ def _digital(signal_e: Float[np.ndarray, "h w"], sensor: Sensor, rng: np.random.
     flat = signal_e.ravel()
     digital = np.empty(len(flat), np.uint16)
     for i in range(0, len(flat), _CHUNK_PX):
-        electrons = np.minimum(_electrons(flat[i : i + _CHUNK_PX].astype(float), rng), sensor.full_well_e)
+        electrons = _electrons(flat[i : i + _CHUNK_PX].astype(float), rng)
+        if sensor.gain < 1.0:  # else the converter is at its end before the well is full
+            electrons = np.minimum(electrons, sensor.full_well_e)
         electrons += sensor.read_noise_e * rng.standard_normal(len(electrons), dtype=np.float32)
         dn = electrons / sensor.electrons_per_dn + sensor.black_level_dn
         digital[i : i + _CHUNK_PX] = np.clip(np.rint(dn * (levels / 255.0)), 0, levels)

@@ -70,28 +70,30 @@ class _Blur:
         """How far light is spread."""
         return reach_px(float(self.sigmas_px[-1]))
 
-    def shares(self, depth_mm: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n k"]:
-        """Share of each width at each depth: linear in the square of the width, so that the variance is right."""
+    def places(self, depth_mm: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Place of each depth among the widths, 0 to k - 1, linear in the square of the width: so the variance is right."""
         squares = self.sigmas_px**2
         if len(squares) == 1:
-            return np.ones((len(depth_mm), 1))
+            return np.zeros(depth_mm.shape)
         at = np.where(np.isfinite(depth_mm), depth_mm, 1e9)
         square = self.rig.optics.blur_px_at(at, self.rig.camera.fx) ** 2
-        place = np.clip((square - squares[0]) / (squares[1] - squares[0]), 0.0, len(squares) - 1.0)
-        return np.asarray(np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(squares))), 0.0))
+        return np.clip((square - squares[0]) / (squares[1] - squares[0]), 0.0, len(squares) - 1.0)
+
+    def shares(self, depth_mm: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n k"]:
+        """Share of each width at each depth."""
+        away = self.places(depth_mm)[:, None] - np.arange(len(self.sigmas_px))
+        return np.asarray(np.maximum(1.0 - np.abs(away), 0.0))
 
 
 def _spread_even(
     light: Float[np.ndarray, "h w"], depth_mm: Float[np.ndarray, "h w"], blur: _Blur
 ) -> Float[np.ndarray, "h w"]:
     """Light of even pixels, after blur and pixel area."""
+    places = blur.places(depth_mm).astype(np.float32)
     spread = np.zeros_like(light)
     for k, sigma in enumerate(blur.sigmas_px):
-        layer = light
-        if len(blur.sigmas_px) > 1:
-            rows = [blur.shares(row.astype(float))[:, k] for row in depth_mm]
-            layer = light * np.array(rows, np.float32)
         kernel = pixel_kernel(float(sigma))
+        layer = light * np.maximum(1.0 - np.abs(places - k), 0.0)
         spread += cv2.sepFilter2D(layer, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
     return spread
 

@@ -16,7 +16,7 @@ from rotaline.simulation.pixels import EVEN_AMBIENT
 from rotaline.simulation.scene import LIT, SHADED, Scene, Seen
 
 _FIBONACCI = (5, 8, 13, 21, 34, 55, 89, 144)
-_LINES = 6
+_LINES = 4
 """Lines through a pixel at an edge, and cells of a line."""
 
 _HALVINGS = 5

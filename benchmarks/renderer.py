@@ -1,0 +1,78 @@
+"""How fast frames are rendered, with noise and as PNG, on one thread and on two: ``.venv/bin/python benchmarks/renderer.py [WIDTHxHEIGHT]``."""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does: frames are what is done side by side
+
+import resource
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import cv2
+
+from rotaline.pipeline.summary import machine, versions
+from rotaline.simulation.plan import BALL, CHECKERBOARD, GROOVE, STEPPED_CYLINDER, camera_capture, mount, table_disc
+from rotaline.simulation.raycast import Placed
+from rotaline.simulation.render import render_frame
+from rotaline.simulation.rig import Optics, Rig, Sensor, build_rig
+from rotaline.simulation.shapes import Shape, SteppedRod
+
+FRAMES = 4
+
+
+def _scan(rig: Rig, shape: Shape) -> list[Placed]:
+    return [table_disc(rig), Placed(shape, mount(3.0, 2.0))]
+
+
+def _target(rig: Rig) -> list[Placed]:
+    shot = camera_capture(rig, CHECKERBOARD, "checkerboard", 1, 1).shots[0]
+    return [*shot.held, *shot.on_table]
+
+
+def _png(rig: Rig, parts: list[Placed], laser_on: bool, seed: int) -> int:
+    light = rig.light
+    ambient = light.ambient_e_per_ms * (light.ambient_on_fraction if laser_on else 1.0)
+    image = render_frame(rig, parts, laser_on=laser_on, ambient_e_per_ms=ambient, exposure_ms=10.0, seed=seed)
+    return len(cv2.imencode(".png", image)[1])
+
+
+def main() -> None:
+    """Print one line a scene."""
+    size = tuple(int(n) for n in (sys.argv[1] if len(sys.argv) > 1 else "1280x960").split("x"))
+    rig = build_rig((size[0], size[1]))
+    deep = replace(rig, optics=Optics(focus_mm=290.0, f_number=2.8))
+    cases = {
+        "stripe, stepped cylinder": (rig, _scan(rig, SteppedRod(STEPPED_CYLINDER)), True),
+        "stripe, ball": (rig, _scan(rig, BALL), True),
+        "stripe, groove": (rig, _scan(rig, GROOVE), True),
+        "stripe, defocus": (deep, _scan(deep, SteppedRod(STEPPED_CYLINDER)), True),
+        "stripe, colour 12 bit": (
+            replace(rig, sensor=Sensor(colour=True, bit_depth=12)),
+            _scan(rig, SteppedRod(STEPPED_CYLINDER)),
+            True,
+        ),
+        "checkerboard": (rig, _target(rig), False),
+    }
+    print(f"{size[0]} x {size[1]}, with noise and PNG")
+    print(f"{'scene':26} {'s CPU a frame':>13} {'frames/s':>9} {'on two threads':>14}")
+    for name, (some_rig, parts, laser_on) in cases.items():
+        _png(some_rig, parts, laser_on, 0)  # the viewing rays are worked out once
+        cpu, wall = time.process_time(), time.perf_counter()
+        for seed in range(FRAMES):
+            _png(some_rig, parts, laser_on, seed)
+        cpu, wall = (time.process_time() - cpu) / FRAMES, (time.perf_counter() - wall) / FRAMES
+        start = time.perf_counter()
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(lambda seed, case=(some_rig, parts, laser_on): _png(*case, seed), range(2 * FRAMES)))
+        both = (time.perf_counter() - start) / (2 * FRAMES)
+        print(f"{name:26} {cpu:13.3f} {1 / wall:9.2f} {1 / both:14.2f}")
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    load = os.getloadavg()[0]
+    print(f"largest memory {peak_mb:.0f} MB; load of the machine meanwhile {load:.1f}")
+    print(", ".join([machine(), *(f"{name} {version}" for name, version in versions().items())]))
+
+
+if __name__ == "__main__":
+    main()
