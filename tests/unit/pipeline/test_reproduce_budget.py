@@ -8,7 +8,7 @@ from rotaline.io.rig_file import parse_rig
 from rotaline.pipeline.reproduce.article import ARTICLE_OPTIONS
 from rotaline.pipeline.reproduce.budget import article_figures, describe, reproducing_setting, true_knowledge
 from rotaline.pipeline.reproduce.budget_sources import SOURCES, ideal_conditions
-from rotaline.pipeline.reproduce.plan import QUICK
+from rotaline.pipeline.reproduce.plan import SMALL_RIG
 from rotaline.pipeline.reproduce.virtual_rig import TITLES, Noise, observe_capture, resulting_figures
 from rotaline.simulation.plan import full_turn, mount, scan_capture
 from rotaline.simulation.truth import plain_value
@@ -18,7 +18,7 @@ RUN_OUT = next(source for source in SOURCES if source.key == "run-out")
 
 @pytest.fixture(scope="module")
 def ideal():
-    return ideal_conditions(parse_rig(QUICK.rig_toml, "test"))
+    return ideal_conditions(parse_rig(SMALL_RIG, "test"))
 
 
 def _levels(*pairs):
@@ -93,7 +93,7 @@ def test_the_first_level_is_none_of_the_error_and_the_last_is_some(source, ideal
 def test_run_out_alone_makes_diameters_wrong(ideal):
     def figures(conditions):
         rig = conditions.rig
-        plan = scan_capture(rig, conditions.stepped, mount(-3.0, 2.5), full_turn(12), folder="stepped", role="artifact")
+        plan = scan_capture(rig, conditions.stepped, mount(-3.0, 2.5), full_turn(8), folder="stepped", role="artifact")
         stripes = observe_capture(rig, plan, Noise(0.01, 1), 0)
         angles = np.radians([shot.angle_deg for shot in plan.shots])
         return resulting_figures(true_knowledge(rig), stripes, angles, (), ARTICLE_OPTIONS)

@@ -81,10 +81,12 @@ def make_budget(bench: BudgetBench) -> Budget:
         If rendered sessions cannot be written.
     """
     ideal = ideal_conditions(bench.rig_file)
-    levels = {source.key: source.levels[:1] + source.levels[1:][bench.effort.budget_levels] for source in SOURCES}
+    effort = bench.effort.budget
+    chosen = [source for source in SOURCES if effort.with_images or not source.from_images]
+    levels = {source.key: tuple(source.levels[i] for i in (0, *effort.levels)) for source in chosen}
     found: dict[tuple[bool | str, float], dict[str, float]] = {}
     with bench.observer.work("levels", sum(len(v) for v in levels.values())) as count:
-        for source in SOURCES:
+        for source in chosen:
             for level in levels[source.key]:
                 # without an error all sources are the same
                 name = (source.from_images, 0.0) if level == source.levels[0] else (source.key, level)
@@ -93,7 +95,7 @@ def make_budget(bench: BudgetBench) -> Budget:
                 count()
     article = article_figures()
     sources = []
-    for source in SOURCES:
+    for source in chosen:
         results = tuple(
             BudgetLevel(x, found[(source.from_images, 0.0) if x == source.levels[0] else (source.key, x)])
             for x in levels[source.key]
@@ -101,10 +103,16 @@ def make_budget(bench: BudgetBench) -> Budget:
         settings = {key: reproducing_setting(results, key, value) for key, value in article.items()}
         text = describe(source, results, settings, article)
         sources.append(BudgetSource(source.key, source.title, source.unit, source.from_images, results, settings, text))
+    width, height = ideal.rig.camera.image_size
     text = (
-        "By the article's method, one mount, 4 mm off centre. Everything else is ideal: no mechanical errors, perfect targets, no speckle, no read-out noise, "
-        f"all in focus, a line of {BASE_LINE_WIDTH_MM:g} mm. Errors of turntable, targets and laser sheet are worked out from observed points with a noise of "
-        f"{BASE_NOISE_PX:g} px; errors that only images show, from rendered frames with the true camera and laser plane, from the true axis."
+        f"By the article's method, images of {width} x {height} px, one mount 4 mm off centre. All else is ideal: no mechanical errors, perfect targets, "
+        f"no speckle, no read-out noise, all in focus, a line of {BASE_LINE_WIDTH_MM:g} mm. Errors of turntable, targets and laser are worked out from "
+        f"observed points with a noise of {BASE_NOISE_PX:g} px. "
+    )
+    text += (
+        "Errors that only images show, from rendered frames with the true camera, laser plane and initial axis."
+        if effort.with_images
+        else "Errors that only images show (speckle, noise, line width, focus, chamfer) are left out of the quick run."
     )
     return Budget(TITLES, article, tuple(sources), text)
 
@@ -181,17 +189,17 @@ def _captures(bench: BudgetBench, conditions: Conditions) -> list[CapturePlan]:
             rig,
             conditions.stepped,
             stand,
-            full_turn(effort.n_budget_stepped),
+            full_turn(effort.budget.n_stepped_frames),
             folder="stepped",
             role="artifact",
             target="stepped-cylinder",
         )
     ]
     for part in PARTS:
-        if part.name in effort.budget_parts:
+        if part.name in effort.budget.parts:
             shape = shape_of(bench.rig_file.tables.parts[part.in_rig_file])
             captures.append(
-                scan_capture(rig, shape, mount(*_PARTS_AT_MM), full_turn(effort.n_budget_part), folder=part.name)
+                scan_capture(rig, shape, mount(*_PARTS_AT_MM), full_turn(effort.budget.n_part_frames), folder=part.name)
             )
     return captures
 

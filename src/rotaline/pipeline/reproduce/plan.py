@@ -38,8 +38,19 @@ MOUNT_SEED, POSITION_SEED = 11, 12
 
 
 @dataclass(frozen=True)
+class BudgetEffort:
+    """How much the budget works out: frames, parts, which levels beside the first, and whether with errors that only images show."""
+
+    n_stepped_frames: int
+    n_part_frames: int
+    parts: tuple[str, ...]
+    levels: tuple[int, ...]
+    with_images: bool
+
+
+@dataclass(frozen=True)
 class Effort:
-    """How much is rendered: the rig as the text of a rig file, how many frames of what, which parts and levels the budget has."""
+    """How much is rendered: the rig as the text of a rig file, and how many frames of what."""
 
     rig_toml: str
     n_camera_views: int
@@ -48,43 +59,37 @@ class Effort:
     n_artifact_frames: int
     n_part_frames: int
     n_complex_frames: int
-    n_budget_stepped: int
-    n_budget_part: int
-    budget_parts: tuple[str, ...]
-    budget_levels: slice
+    budget: BudgetEffort
 
 
-FULL = Effort(
-    'preset = "article"\n',
-    N_CAMERA_VIEWS,
-    N_LASER_POSES,
-    AXIS_STEP_DEG,
-    round(360 / ARTIFACT_STEP_DEG),
-    90,
-    240,
-    45,
-    24,
-    ("ball", "cylinder", "groove"),
-    slice(None),
-)
-QUICK = Effort(
-    """preset = "article"
+SMALL_RIG = """preset = "article"
 [camera]
 image_size = [640, 480]
 pixel_pitch_um = 7.5
 principal_point_offset_px = [2.7, 1.25]
 blur_px = 0.5
-""",
-    14,
-    8,
-    4.0,
-    30,
-    24,
-    72,
-    24,
-    12,
-    ("ball",),
-    slice(-1, None),
+"""
+"""The rig of the article with a quarter of the pixels, which see the same."""
+
+FULL = Effort(
+    rig_toml='preset = "article"\n',
+    n_camera_views=N_CAMERA_VIEWS,
+    n_laser_poses=N_LASER_POSES,
+    axis_step_deg=AXIS_STEP_DEG,
+    n_artifact_frames=round(360 / ARTIFACT_STEP_DEG),
+    n_part_frames=60,
+    n_complex_frames=180,
+    budget=BudgetEffort(36, 16, ("ball", "cylinder", "groove"), (1, 2, 3), with_images=True),
+)
+QUICK = Effort(
+    rig_toml=SMALL_RIG,
+    n_camera_views=12,
+    n_laser_poses=8,
+    axis_step_deg=4.0,
+    n_artifact_frames=20,
+    n_part_frames=12,
+    n_complex_frames=40,
+    budget=BudgetEffort(20, 10, ("ball",), (3,), with_images=False),
 )
 
 

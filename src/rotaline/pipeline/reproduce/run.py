@@ -24,7 +24,7 @@ from rotaline.pipeline.reproduce.experiments import (
     system_of,
 )
 from rotaline.pipeline.reproduce.measured import claims_table, disturbed_table, parts_section, stepped_table
-from rotaline.pipeline.reproduce.plan import FULL, QUICK, complex_plans, session_plans
+from rotaline.pipeline.reproduce.plan import FULL, QUICK, SMALL_RIG, complex_plans, session_plans
 from rotaline.pipeline.reproduce.rows import RULE, changed_options
 from rotaline.pipeline.reproduce.sessions import joined, render_session
 from rotaline.pipeline.reproduce.workbench import QuietObserver, Workbench
@@ -76,7 +76,7 @@ def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: in
         )
     simulation = simulation_section()
     claims = claims_table(sensor, mounts.table if mounts else None, stepped, disturbed, parts)
-    limits = BudgetBench(rig_file, effort, seed, folder / "sessions", store, observer)
+    limits = BudgetBench(parse_rig(SMALL_RIG, "preset article"), effort, seed, folder / "sessions", store, observer)
     budget = attempts.do("Budget", lambda: make_budget(limits))
     store.forget_unused()
     info = ReproductionInfo(
