@@ -1,9 +1,11 @@
 """Tables of ``rotaline reproduce`` in the terminal."""
 
+import math
+
 from rich.console import Console
 from rich.table import Table
 
-from rotaline.io.report.reproduction import Budget, Comparison, ComparisonTable, Reproduction
+from rotaline.io.report.reproduction import Budget, Comparison, ComparisonTable, ComplexPartsSection, Reproduction
 
 _COLOURS = {"better": "green", "equal": "default", "worse": "red", "none": "dim"}
 
@@ -13,6 +15,8 @@ def show_reproduction(reproduction: Reproduction) -> None:
     console = Console(width=150, highlight=False)
     for table in reproduction.tables():
         _show_table(console, table)
+    if reproduction.complex_parts is not None:
+        _show_complex_parts(console, reproduction.complex_parts)
     if reproduction.budget is not None:
         _show_budget(console, reproduction.budget)
     info = reproduction.info
@@ -62,6 +66,24 @@ def _verdict(verdict: str) -> str:
     return "" if verdict == "none" else f"[{_COLOURS[verdict]}]{verdict}[/]"
 
 
+def _show_complex_parts(console: Console, section: ComplexPartsSection) -> None:
+    shown = Table(title="Section 6.3, figure 16: parts with small details, measured against true", title_justify="left")
+    for name in ("part", "detail"):
+        shown.add_column(name)
+    for name in ("true height / mm", "measured / mm", "deviation, RMS / mm", "resolved"):
+        shown.add_column(name, justify="right")
+    for part in section.parts:
+        shown.add_row(
+            part.title, f"whole surface, {100 * part.coverage:.0f} % covered", "", "", f"{part.rms_mm:.4f}", ""
+        )
+        for detail in part.details:
+            heights = (f"{detail.height_mm:.3f}", f"{detail.measured_height_mm:.3f}")
+            shown.add_row("", detail.name, *heights, f"{detail.rms_mm:.4f}", "yes" if detail.resolved else "no")
+        shown.add_section()
+    console.print(shown)
+    console.print(section.resolved_rule, style="dim", soft_wrap=True)
+
+
 def _show_budget(console: Console, budget: Budget) -> None:
     shown = Table(title="Budget: one error of the rig at a time", title_justify="left")
     shown.add_column("error of the rig")
@@ -70,8 +92,9 @@ def _show_budget(console: Console, budget: Budget) -> None:
         shown.add_column(title, justify="right")
     for source in budget.sources:
         for number, level in enumerate(source.levels):
-            figures = [f"{level.figures[key]:.4f}" if key in level.figures else "–" for key in budget.titles]
-            shown.add_row(source.title if number == 0 else "", f"{level.setting:g} {source.unit}", *figures)
+            figures = [level.figures.get(key, math.nan) for key in budget.titles]
+            texts = ["–" if math.isnan(figure) else f"{figure:.4f}" for figure in figures]
+            shown.add_row(source.title if number == 0 else "", f"{level.setting:g} {source.unit}", *texts)
         shown.add_section()
     console.print(shown)
     for source in budget.sources:
