@@ -67,20 +67,22 @@ class Scene:
 
     def shaded(self, points_base: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Whether something stands between the laser and points of the surface."""
-        in_view = (points_base - self.laser.origin_base) @ self.laser.base_from_view
-        depth = in_view[:, 2]
-        return self.laser.hits(in_view[:, :2] / depth[:, None]).t < depth * (1.0 - 1e-6)
+        rays = points_base - self.laser.origin_base
+        in_view = rays @ self.laser.base_from_view
+        depth = in_view[:, 2:]
+        return self.laser.hits(in_view[:, :2] / depth, rays / depth).t < depth[:, 0] * (1.0 - 1e-6)
 
     def seen(self, xy: Float[np.ndarray, "n 2"], laser_on: bool) -> Seen:
         """What the rays ``(x, y, 1)`` of the camera see; without ``laser_on`` nothing of the laser is worked out."""
-        hits = self.camera.hits(xy)
+        directions = self.camera.directions_base(xy)
+        hits = self.camera.hits(xy, directions)
         n = len(xy)
         ambient, laser, sheet, state = np.zeros(n), np.zeros(n), np.full(n, np.nan), np.zeros(n, np.uint8)
         for i, part in enumerate(self.parts):
             (here,) = np.nonzero(hits.part == i)
             if not len(here):
                 continue
-            rays = self.camera.directions_base(xy[here])
+            rays = directions[here]
             points = self.camera.origin_base + hits.t[here, None] * rays
             points_part, face = part.to_part(points), hits.face[here]
             normals = part.shape.normals(points_part, face) @ part.base_from_part.T
