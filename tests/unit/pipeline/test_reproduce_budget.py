@@ -3,10 +3,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotaline.io.report.reproduction import BudgetLevel
+from rotaline.io.report.reproduction import BudgetLevel, BudgetSource
 from rotaline.io.rig_file import parse_rig
 from rotaline.pipeline.reproduce.article import ARTICLE_OPTIONS
-from rotaline.pipeline.reproduce.budget import article_figures, describe, reproducing_setting, true_knowledge
+from rotaline.pipeline.reproduce.budget import (
+    article_figures,
+    conclusion,
+    describe,
+    reproducing_setting,
+    true_knowledge,
+)
 from rotaline.pipeline.reproduce.budget_sources import SOURCES, ideal_conditions
 from rotaline.pipeline.reproduce.plan import SMALL_RIG
 from rotaline.pipeline.reproduce.virtual_rig import TITLES, Noise, observe_capture, resulting_figures
@@ -68,6 +74,15 @@ def test_the_words_say_what_was_found():
     assert f"{TITLES['mean_distance']} of 0.0110 mm at 52 um" in text
     assert f"{TITLES['ball']}: 0.0050 mm already without it" in text
     assert f"{TITLES['groove']}: no effect, 0.0023 mm at 100 um" in text
+
+
+def test_the_conclusion_names_what_alone_is_enough_and_says_where_nothing_is():
+    levels = tuple(_levels((0.0, 0.001), (10.0, 0.02)))
+    enough = BudgetSource("run-out", "run-out", "um", False, levels, {"mean_distance": 5.43, "ball": None}, "")
+    not_enough = BudgetSource("speckle", "speckle", "", True, levels, {"mean_distance": None, "ball": None}, "")
+    text = conclusion([enough, not_enough], {"mean_distance": 0.011, "ball": 0.004})
+    assert text.endswith("Mean distance of feature points after of 0.0110 mm: run-out (5.4 um).")
+    assert "none of them" in conclusion([not_enough], {"mean_distance": 0.011})
 
 
 def test_the_article_s_figures_are_those_of_its_tables():

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotaline.errors import OutputError
 from rotaline.io.rig_file import parse_rig
 from rotaline.io.session import Capture, Session
 from rotaline.pipeline.reproduce.plan import FULL, QUICK, mount_names, session_plans
@@ -60,6 +59,6 @@ def test_captures_of_one_name_cannot_be_joined(tmp_path):
     capture = Capture("ball", "scan", "", None, ())
     session = Session(tmp_path / "a", {}, (capture,), (), (640, 480))
     other = replace(session, path=tmp_path / "b")
-    with pytest.raises(OutputError, match="ball"):
+    with pytest.raises(ValueError, match="ball"):
         joined({"a": session, "b": other})
     assert joined({"a": session, "b": replace(other, captures=())}).captures == (capture,)

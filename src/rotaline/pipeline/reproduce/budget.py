@@ -114,7 +114,7 @@ def make_budget(bench: BudgetBench) -> Budget:
         if effort.with_images
         else "Errors that only images show (speckle, noise, line width, focus, chamfer) are left out of the quick run."
     )
-    return Budget(TITLES, article, tuple(sources), text)
+    return Budget(TITLES, article, tuple(sources), f"{text} {conclusion(sources, article)}")
 
 
 def article_figures() -> dict[str, float]:
@@ -160,6 +160,23 @@ def describe(
         else:
             parts.append(f"{title}: not reached, {end:.4f} mm {at_last}")
     return "; ".join(parts) + "."
+
+
+def conclusion(sources: Sequence[BudgetSource], article: Mapping[str, float]) -> str:
+    """Which errors alone can give each of the article's figures, in words."""
+    sentences = []
+    for key, target in article.items():
+        if not any(key in source.levels[0].figures for source in sources):
+            continue
+        found = [
+            f"{source.title} ({source.reproducing[key]:.2g} {source.unit}".rstrip() + ")"
+            for source in sources
+            if source.reproducing[key] is not None
+        ]
+        sentences.append(
+            f"{TITLES[key][0].upper()}{TITLES[key][1:]} of {target:.4f} mm: {', '.join(found) or 'none of them within its levels'}."
+        )
+    return f"What alone gives the article's figures: {' '.join(sentences)}"
 
 
 def _figures(bench: BudgetBench, source: Source, level: float, conditions: Conditions) -> dict[str, float]:

@@ -83,7 +83,7 @@ def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: in
         quick=quick,
         rig="article",
         image_size=rig.camera.image_size,
-        seeds={"poses, mounts and noise": seed},
+        seeds={"poses, mounts and noise": seed, "search of features": Options().measure.seed},
         rule=RULE,
         changed_options=changed_options(ARTICLE_OPTIONS, Options()),
         finished_at=datetime.now().astimezone().isoformat(timespec="seconds"),

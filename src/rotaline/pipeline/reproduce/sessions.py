@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from rotaline.errors import OutputError
 from rotaline.io.files import output_error, whole_file
 from rotaline.io.session import Session, read_session
 from rotaline.pipeline.observer import Observer
@@ -50,13 +49,13 @@ def joined(sessions: Mapping[str, Session]) -> Session:
 
     Raises
     ------
-    OutputError
+    ValueError
         If two sessions use the same name for a capture.
     """
     first = next(iter(sessions.values()))
     captures = tuple(capture for session in sessions.values() for capture in session.captures)
     names = [capture.folder for capture in captures]
     if len(set(names)) < len(names):
-        raise OutputError(f"{first.path.parent}: captures of the same name in several sessions: {sorted(names)}.")
+        raise ValueError(f"Captures of the same name in several sessions: {', '.join(sorted(names))}.")
     targets = {name: target for session in sessions.values() for name, target in session.targets.items()}
     return replace(first, targets=targets, captures=captures, measurements=())
