@@ -102,15 +102,16 @@ class View:
         """Rays ``(x, y, 1)`` of the view, in the base frame."""
         return np.asarray(xy @ self.base_from_view[:, :2].T + self.base_from_view[:, 2])
 
-    def hits(self, xy: Float[np.ndarray, "n 2"], directions_base: Float[np.ndarray, "n 3"]) -> Hits:
+    def hits(self, xy: Float[np.ndarray, "n 2"], directions_base: Float[np.ndarray, "n 3"] | None = None) -> Hits:
         """What the rays ``(x, y, 1)`` of the view meet first; ``t`` is the depth. A part is asked about its window only.
 
         Parameters
         ----------
         xy : (n, 2)   in the view's frame
-        directions_base : (n, 3)   the same rays in the base frame
+        directions_base : (n, 3)   the same rays in the base frame, where they are known already
         """
         n = len(xy)
+        directions = self.directions_base(xy) if directions_base is None else directions_base
         x, y = np.ascontiguousarray(xy.T)
         t, index, faces = np.full(n, np.inf), np.full(n, -1), np.zeros(n, int)
         for i, (part, (low, high)) in enumerate(zip(self.parts, self.windows, strict=True)):
@@ -118,7 +119,7 @@ class View:
             if len(rays) == 0:
                 continue
             origin = part.to_part(self.origin_base[None])[0]
-            t_part, face_part = part.shape.intersect(origin, directions_base[rays] @ part.base_from_part)
+            t_part, face_part = part.shape.intersect(origin, directions[rays] @ part.base_from_part)
             nearer = t_part < t[rays]
             rays = rays[nearer]
             t[rays], index[rays], faces[rays] = t_part[nearer], i, face_part[nearer]

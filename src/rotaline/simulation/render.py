@@ -56,8 +56,7 @@ class _Blur:
         """Widths for all that a coarse grid of rays sees."""
         rig, xy = scene.rig, corner_xy(scene.rig.camera, 0)
         step = max(min(xy.shape[:2]) // 60, 1)
-        coarse = np.ascontiguousarray(xy[::step, ::step]).reshape(-1, 2)
-        depth = scene.camera.hits(coarse, scene.camera.directions_base(coarse)).t
+        depth = scene.camera.hits(np.ascontiguousarray(xy[::step, ::step]).reshape(-1, 2)).t
         depth = depth[np.isfinite(depth)]
         if not len(depth):
             return _Blur(rig, np.array([rig.optics.blur_px]))
