@@ -14,7 +14,7 @@ from rotaline.geometry.primitives import SteppedCylinder
 from rotaline.simulation.boards import Plate
 from rotaline.simulation.material import Material
 from rotaline.simulation.poses import axis_pose, camera_poses, laser_poses
-from rotaline.simulation.render import Placed
+from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import Rig, build_rig
 from rotaline.simulation.shapes import Ball, GrooveBlock, Rod, Shape, SteppedRod
 from rotaline.vision.targets.model import Checkerboard, DotGrid, Target

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int, UInt8, UInt16
 from rotaline.simulation.exposure import expose
 from rotaline.simulation.footprint import pixel_kernel, point_kernels, reach_px
 from rotaline.simulation.pixels import CHUNK_RAYS, corner_xy, of_corners, pixel_kinds, seen_at_corners
-from rotaline.simulation.raycast import Placed as Placed
+from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import Rig
 from rotaline.simulation.scene import Scene
 from rotaline.simulation.speckle import contrast, grain_px, speckle_factor, speckle_pattern

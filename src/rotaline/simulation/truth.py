@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rotaline.simulation.mechanics import base_from_table
 from rotaline.simulation.plan import CapturePlan, SessionPlan
-from rotaline.simulation.render import Placed
+from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import Rig
 
 _LARGEST_LIST = 64

@@ -29,7 +29,7 @@ from rotaline.simulation.boards import Plate
 from rotaline.simulation.mechanics import base_from_table
 from rotaline.simulation.observed_scan import IdealScan, trace_scan
 from rotaline.simulation.plan import CapturePlan
-from rotaline.simulation.render import Placed
+from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import Rig
 from rotaline.simulation.stripe_trace import trace_stripe
 from rotaline.vision.camera import CameraModel
