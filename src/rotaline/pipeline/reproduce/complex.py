@@ -29,6 +29,8 @@ RESOLVED_FRACTION = 0.5
 NEAR_MM = 0.5
 _TOP, _RING = 0.5, (1.0, 1.4)
 _GRID = 41
+_RADIUS_MM = 18.0
+"""Where most of the parts' surface lies."""
 
 RESOLVED_RULE = (
     f"A detail counts as resolved if the measured surface stands out there by at least {100 * RESOLVED_FRACTION:.0f} % and at most "
@@ -70,7 +72,10 @@ def complex_parts_section(
             return _judge(name, part, standing, cloud, placed, rig, options, picture)
 
         results.append(store.get(f"complex-{name}", COMPLEX_TITLES[name], key, compute))
-    return ComplexPartsSection(RESOLVED_RULE, tuple(results))
+    n_frames = len(next(iter(plans.values())).captures[0].shots)
+    spacing_mm = 2 * np.pi * _RADIUS_MM / n_frames
+    spacing = f"{n_frames} frames a turn: profiles are {spacing_mm:.2f} mm apart at {_RADIUS_MM:g} mm from the axis; smaller details may fall between them."
+    return ComplexPartsSection(f"{RESOLVED_RULE} {spacing}", tuple(results))
 
 
 def _cloud(

@@ -77,8 +77,8 @@ FULL = Effort(
     n_laser_poses=N_LASER_POSES,
     axis_step_deg=AXIS_STEP_DEG,
     n_artifact_frames=round(360 / ARTIFACT_STEP_DEG),
-    n_part_frames=60,
-    n_complex_frames=180,
+    n_part_frames=48,
+    n_complex_frames=270,
     budget=BudgetEffort(36, 16, ("ball", "cylinder", "groove"), (1, 2, 3), with_images=True),
 )
 QUICK = Effort(

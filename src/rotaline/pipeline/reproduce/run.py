@@ -56,7 +56,8 @@ def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: in
     rig_file = parse_rig(effort.rig_toml, "preset article")
     rig = rig_file.rig()
     shapes = complex_parts()
-    plans = {**session_plans(rig_file, effort, seed), **complex_plans(rig, shapes, effort, seed)}
+    complex_sessions = complex_plans(rig, shapes, effort, seed)
+    plans = {**session_plans(rig_file, effort, seed), **complex_sessions}
     sessions = {name: render_session(folder / "sessions", name, rig, plan, observer) for name, plan in plans.items()}
     store = StageStore(folder / "stages", QuietObserver(observer), keep_variants=True)
     bench = Workbench(joined(sessions), store, observer)
@@ -72,7 +73,7 @@ def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: in
         parts = attempts.do("Tables 3 to 5", lambda: parts_section(bench, found))
         final = system_of(found.together)
         complex_section = attempts.do(
-            "Figure 16", lambda: complex_parts_section(bench, store, plans, shapes, final, rig, Options())
+            "Figure 16", lambda: complex_parts_section(bench, store, complex_sessions, shapes, final, rig, Options())
         )
     simulation = simulation_section()
     claims = claims_table(sensor, mounts.table if mounts else None, stepped, disturbed, parts)
