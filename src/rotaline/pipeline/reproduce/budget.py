@@ -121,7 +121,8 @@ def article_figures() -> dict[str, float]:
     """The article's figures with the keys of :data:`rotaline.pipeline.reproduce.virtual_rig.TITLES`, mm."""
     diameters = float(np.mean([SMALL_CYLINDER.average_after_mm, LARGE_CYLINDER.average_after_mm]))
     parts = {part.name: float(np.mean(table.error_mm)) for part, table in zip(PARTS, PART_TABLES, strict=True)}
-    return {"mean_distance": MEAN_DISTANCE_MM[0], "diameters": diameters} | parts
+    before = float(np.mean([SMALL_CYLINDER.average_before_mm, LARGE_CYLINDER.average_before_mm]))
+    return {"mean_distance": MEAN_DISTANCE_MM[0], "diameters": diameters, "diameters_before": before} | parts
 
 
 def reproducing_setting(levels: Sequence[BudgetLevel], key: str, target_mm: float) -> float | None:
@@ -150,7 +151,7 @@ def describe(
             continue
         title, first, end, setting = TITLES[key], levels[0].figures[key], last.figures.get(key, np.nan), settings[key]
         if setting is not None:
-            parts.append(f"{title} of {target:.4f} mm at {setting:.2g} {source.unit}".rstrip())
+            parts.append(f"{title} of {target:.4f} mm at {_two_digits(setting)} {source.unit}".rstrip())
         elif first >= target:
             parts.append(f"{title}: {first:.4f} mm already without it")
         elif not np.isfinite(end):
@@ -162,6 +163,10 @@ def describe(
     return "; ".join(parts) + "."
 
 
+def _two_digits(value: float | None) -> str:
+    return "" if value is None else f"{float(f'{value:.2g}'):g}"
+
+
 def conclusion(sources: Sequence[BudgetSource], article: Mapping[str, float]) -> str:
     """Which errors alone can give each of the article's figures, in words."""
     sentences = []
@@ -169,7 +174,7 @@ def conclusion(sources: Sequence[BudgetSource], article: Mapping[str, float]) ->
         if not any(key in source.levels[0].figures for source in sources):
             continue
         found = [
-            f"{source.title} ({source.reproducing[key]:.2g} {source.unit}".rstrip() + ")"
+            f"{source.title} ({_two_digits(source.reproducing[key])} {source.unit}".rstrip() + ")"
             for source in sources
             if source.reproducing[key] is not None
         ]

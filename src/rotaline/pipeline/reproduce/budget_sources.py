@@ -129,7 +129,7 @@ SOURCES = (
         "run-out of the spindle, random",
         "um",
         False,
-        (0.0, 5.0, 15.0, 50.0),
+        (0.0, 2.0, 6.0, 20.0),
         _mechanics("run_out_noise_um"),
     ),
     Source("wobble", "wobble of the spindle", "urad", False, (0.0, 100.0, 500.0, 2500.0), _mechanics("wobble_urad")),
