@@ -121,7 +121,7 @@ def test_a_quick_look_has_half_of_everything(call, rig_file, tmp_path, noise):
 def test_a_preset_is_printed_as_it_can_be_read(call, name, tmp_path):
     printed = call("simulate", "--preset", name, "--toml")
     assert printed.code == 0
-    assert tomllib.loads(printed.out)["version"] == 1
+    assert "camera" in tomllib.loads(printed.out)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_wrong_use_is_explained(call, rig_file, tmp_path, monkeypatch, arguments
         ('part = "ball"', 'part = "bal"', "rig.toml, line 16, captures[2].part: found 'bal'"),
         (
             "pixel_pitch_um = 30.0",
-            "look_at_mm = [207, -83, 180]",
+            "look_at_mm = [212, -64, 176]",
             "rig.toml: camera, position_mm and look_at_mm: both are",
         ),
     ],

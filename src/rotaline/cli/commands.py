@@ -236,18 +236,19 @@ def demo(
     ),
     quiet: Quiet = False,
 ) -> None:
-    """Render a small session of a rig like the article's and run the main job on it."""
+    """Render a small session of the article's rig and run the main job on it.
+
+    The rig is `rotaline simulate --preset demo --toml`; what is true of it stands in the .truth.json beside the session.
+    """
     from rotaline.cli.console import ConsoleObserver
-    from rotaline.simulation.session import demo_plan, demo_rig, write_session
+    from rotaline.io.rig_file import read_preset
+    from rotaline.pipeline.simulate import simulate
 
     observer = ConsoleObserver(0 if quiet else 1)
-    if not (folder / "session.toml").is_file():
-        observer.stage(f"Rendering a small session into {folder}", stored=False)
-        plan = demo_plan()
-        with observer.work("frames", sum(len(c.shots) for c in plan.captures)) as count:
-            write_session(folder, demo_rig(), plan, progress=count)
-    else:
+    if (folder / "session.toml").is_file():
         observer.stage(f"Session in {folder}", stored=True)
+    else:
+        simulate(read_preset("demo"), folder, observer)
     job = _open_run(folder, None, None, None, False, quiet, False)
     _finish(job.everything(), False)
 

@@ -17,7 +17,7 @@ def simulate(
     ] = None,
     preset: Annotated[
         str | None,
-        typer.Option("--preset", metavar="NAME", help="article, webcam or high-resolution, instead of a file."),
+        typer.Option("--preset", metavar="NAME", help="article, webcam, high-resolution or demo, instead of a file."),
     ] = None,
     toml: Annotated[
         bool, typer.Option("--toml", help="Print the preset as a rig file, to be edited; render nothing.")
@@ -38,8 +38,7 @@ def simulate(
     from rotaline.cli.console import ConsoleObserver
     from rotaline.io.rig_file import preset_text, quick_look, read_preset, read_rig_file
     from rotaline.pipeline.run import results_folder
-    from rotaline.simulation.checks import require_scene
-    from rotaline.simulation.session import unfinished, write_session
+    from rotaline.pipeline.simulate import simulate as render
     from rotaline.simulation.truth import truth_path
 
     given = list(paths or ())
@@ -57,23 +56,7 @@ def simulate(
     file = read_preset(preset) if preset is not None else read_rig_file(given[0])
     if quick:
         file = quick_look(file)
-    observer = ConsoleObserver(0 if quiet else 1)
-    rig, plan = file.rig(), file.plan(seed)
-    left = unfinished(out, rig, plan)
-    shapes = {id(placed.shape): placed.shape for c in plan.captures for placed in c.shots[0].on_table}
-    for note in (note for shape in shapes.values() for note in getattr(shape, "notes", ())):
-        observer.warning(note)
-    for problem in require_scene(rig, plan):
-        observer.warning(str(problem))
-    observer.stage(f"Rendering {plan.n_frames} frames into {out}", stored=False)
-    if left is not None:
-        observer.note(
-            f"{left.n_frames} frames are there already."
-            if left.same
-            else "The unfinished session there is of another rig, seed or version of the program; it is rendered anew."
-        )
-    with observer.work("frames", plan.n_frames) as count:
-        write_session(out, rig, plan, count, notes={"source": file.source, "quick": quick, "rig_file": file.text})
+    render(file, out, ConsoleObserver(0 if quiet else 1), seed=seed, quick=quick)
     typer.echo(f"Session: {out}")
     typer.echo(f"Truth:   {truth_path(out)}")
     typer.echo(f"Next:    rotaline run {out}")

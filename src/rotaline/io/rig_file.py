@@ -19,7 +19,7 @@ from rotaline.simulation.rig import Rig
 
 T = TypeVar("T")
 
-PRESETS = ("article", "webcam", "high-resolution")
+PRESETS = ("article", "webcam", "high-resolution", "demo")
 
 _TARGET_ROLES = ("camera", "laser-plane", "axis")
 
@@ -126,11 +126,10 @@ def parse_rig(text: str, source: str) -> RigFile:
     except tomllib.TOMLDecodeError as error:
         place = re.search(r"at line (\d+)", str(error))
         raise RigError(f"{source}{f', line {place[1]}' if place else ''}: this is not valid TOML: {error}.") from error
-    if "preset" in data:
-        try:
-            data = _merged(tomllib.loads(preset_text(str(data["preset"]))), data)
-        except RigError as error:
-            raise RigError(f"{where(source, text, ('preset',))}: {error}") from error
+    try:
+        data = _with_preset(data)
+    except RigError as error:
+        raise RigError(f"{where(source, text, ('preset',))}: {error}") from error
     try:
         tables = RigTables.model_validate(data)
     except ValidationError as error:
@@ -163,6 +162,13 @@ def _thinned(capture: CaptureTable) -> CaptureTable:
     if capture.frames is not None:
         return capture.model_copy(update={"frames": (capture.frames + 1) // 2})
     return capture.model_copy(update={"step_deg": 2 * step_deg_of(capture)})
+
+
+def _with_preset(data: dict[str, Any]) -> dict[str, Any]:
+    """The content of a file and of the preset that it is based on, which may be based on another."""
+    if "preset" not in data:
+        return data
+    return _merged(_with_preset(tomllib.loads(preset_text(str(data["preset"])))), data)
 
 
 def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

@@ -325,7 +325,9 @@ class RigTables(Table):
     """A rig file as a whole."""
 
     version: Literal[1] = key(1, "of this format")
-    preset: str | None = key(None, "what is not stated here is as in that preset: article, webcam or high-resolution")
+    preset: str | None = key(
+        None, "what is not stated here is as in that preset: article, webcam, high-resolution or demo"
+    )
     camera: CameraTable = key(..., "the camera and its lens")
     sensor: SensorTable = key(SensorTable(), "the sensor")
     laser: LaserTable = key(..., "the line laser")

@@ -265,7 +265,17 @@ def test_presets_are_complete_and_can_be_planned(name):
     assert mounts == pytest.approx([0.4, 5.0], abs=0.01)
 
 
-@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_may_be_based_on_another():
+    demo, article = read_preset("demo"), read_preset("article")
+    assert demo.tables.laser == article.tables.laser
+    edited = parse_rig('preset = "demo"\n[camera]\nroll_deg = 3.0\n', "rig.toml")
+    assert edited.tables.camera == demo.tables.camera.model_copy(update={"roll_deg": 3.0})
+    points = np.array([[10.0, -5.0, 20.0], [-20.0, 15.0, 40.0]])
+    seen = [r.camera.project(r.camera_from_base.apply(points)) for r in (article.rig(), demo.rig())]
+    np.testing.assert_allclose(seen[1], (seen[0] + 0.5) * 0.75 - 0.5, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", [name for name in PRESETS if name != "demo"])
 def test_every_line_with_a_key_of_a_rig_explains_it(name):
     """Keys of the rig itself have a comment; those of parts and captures that have none say it by their names."""
     rig_part = preset_text(name).split("[targets.")[0]
@@ -309,7 +319,7 @@ def test_a_quick_look_sees_the_same_with_half_the_pixels():
         ('part = "ball"', 'part = "ball"\nmount = { tilt = 3 }', r"mount.tilt: there is no such key; .*tilt_deg"),
         ('role = "scan"', 'role = "artifact"', r"'ball' is a sphere; role 'artifact' needs a stepped-cylinder"),
         ("version = 1", "version = 2", r"line 1, version: found 2, expected 1"),
-        ("version = 1", 'preset = "demo"', r"line 1, preset: preset 'demo': there is no such preset"),
+        ("version = 1", 'preset = "show"', r"line 1, preset: preset 'show': there is no such preset"),
         ("version = 1", "version = ", r"rig.toml, line 1: this is not valid TOML"),
         (
             "[[captures]]",
@@ -359,4 +369,4 @@ def test_a_file_that_is_missing_is_named(tmp_path):
     with pytest.raises(RigError, match=r"none\.toml: the rig file cannot be read"):
         read_rig_file(tmp_path / "none.toml")
     with pytest.raises(RigError, match="expected one of article"):
-        preset_text("demo")
+        preset_text("show")
