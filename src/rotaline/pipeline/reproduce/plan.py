@@ -88,7 +88,7 @@ QUICK = Effort(
     axis_step_deg=4.0,
     n_artifact_frames=20,
     n_part_frames=12,
-    n_complex_frames=40,
+    n_complex_frames=72,
     budget=BudgetEffort(20, 10, ("ball",), (3,), with_images=False),
 )
 
