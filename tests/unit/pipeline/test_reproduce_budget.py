@@ -4,7 +4,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotaline.io.report.reproduction import BudgetLevel, BudgetSource
-from rotaline.io.rig_file import parse_rig
 from rotaline.pipeline.reproduce.article import ARTICLE_OPTIONS
 from rotaline.pipeline.reproduce.budget import (
     article_figures,
@@ -14,7 +13,7 @@ from rotaline.pipeline.reproduce.budget import (
     true_knowledge,
 )
 from rotaline.pipeline.reproduce.budget_sources import SOURCES, ideal_conditions
-from rotaline.pipeline.reproduce.plan import SMALL_RIG
+from rotaline.pipeline.reproduce.plan import article_rig
 from rotaline.pipeline.reproduce.virtual_rig import TITLES, Noise, observe_capture, resulting_figures
 from rotaline.simulation.plan import full_turn, mount, scan_capture
 from rotaline.simulation.truth import plain_value
@@ -24,7 +23,7 @@ RUN_OUT = next(source for source in SOURCES if source.key == "run-out")
 
 @pytest.fixture(scope="module")
 def ideal():
-    return ideal_conditions(parse_rig(SMALL_RIG, "test"))
+    return ideal_conditions(article_rig(small_images=True))
 
 
 def _levels(*pairs):

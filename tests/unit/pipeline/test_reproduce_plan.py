@@ -3,15 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotaline.io.rig_file import parse_rig
 from rotaline.io.session import Capture, Session
-from rotaline.pipeline.reproduce.plan import FULL, QUICK, mount_names, session_plans
+from rotaline.pipeline.reproduce.plan import FULL, QUICK, article_rig, mount_names, session_plans
 from rotaline.pipeline.reproduce.sessions import joined
 
 
 @pytest.fixture(scope="module")
 def quick_plans():
-    rig_file = parse_rig(QUICK.rig_toml, "test")
+    rig_file = article_rig(QUICK.small_images)
     return {seed: session_plans(rig_file, QUICK, seed) for seed in (1, 2)}
 
 
@@ -37,18 +36,18 @@ def test_mounts_and_positions_differ_and_follow_the_seed(quick_plans):
         distances = np.linalg.norm(places[:, None] - places[None], axis=2) + np.eye(5)
         assert distances.min() > 0.05
     assert not np.allclose(_stands(first, "ball"), _stands(other, "ball"))
-    again = session_plans(parse_rig(QUICK.rig_toml, "test"), QUICK, 1)
+    again = session_plans(article_rig(QUICK.small_images), QUICK, 1)
     assert np.array_equal(_stands(first, "groove"), _stands(again, "groove"))
 
 
 def test_the_full_effort_is_the_article_s():
-    rig = parse_rig(FULL.rig_toml, "test").rig()
+    rig = article_rig(FULL.small_images).rig()
     assert rig.camera.image_size == (1280, 960)
     assert (FULL.n_camera_views, FULL.n_laser_poses, FULL.axis_step_deg, FULL.n_artifact_frames) == (20, 10, 2.0, 90)
 
 
 def test_the_quick_rig_sees_the_same_as_the_full_one():
-    full, quick = (parse_rig(effort.rig_toml, "test").rig() for effort in (FULL, QUICK))
+    full, quick = (article_rig(effort.small_images).rig() for effort in (FULL, QUICK))
     corners = np.array([[-40.0, -40.0, 20.0], [40.0, 40.0, 20.0]])
     seen = [rig.camera.project(rig.camera_from_base.apply(corners)) for rig in (full, quick)]
     # pixel centres: the edge of the image lies half a pixel beyond the first

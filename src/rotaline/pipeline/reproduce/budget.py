@@ -185,7 +185,7 @@ def conclusion(sources: Sequence[BudgetSource], article: Mapping[str, float]) ->
 
 
 def _figures(bench: BudgetBench, source: Source, level: float, conditions: Conditions) -> dict[str, float]:
-    key = key_of("budget", bench.effort, bench.seed, bench.rig_file.text, source.key, level)
+    key = key_of("budget", bench.effort, bench.seed, bench.rig_file.tables.model_dump(mode="json"), source.key, level)
     title = f"Budget, {source.title} {level:g} {source.unit}".rstrip()
 
     def compute() -> dict[str, float]:

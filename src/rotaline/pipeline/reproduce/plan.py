@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.geometry.primitives import SteppedCylinder
-from rotaline.io.rig_file import RigFile
+from rotaline.io.rig_file import RigFile, quick_look, read_preset
 from rotaline.io.rig_values import plate_of, shape_of
 from rotaline.pipeline.reproduce.article import (
     ARTIFACT_STEP_DEG,
@@ -50,9 +50,9 @@ class BudgetEffort:
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is rendered: the rig as the text of a rig file, and how many frames of what."""
+    """How much is rendered: with half the pixels along each side or not, and how many frames of what."""
 
-    rig_toml: str
+    small_images: bool
     n_camera_views: int
     n_laser_poses: int
     axis_step_deg: float
@@ -62,17 +62,8 @@ class Effort:
     budget: BudgetEffort
 
 
-SMALL_RIG = """preset = "article"
-[camera]
-image_size = [640, 480]
-pixel_pitch_um = 7.5
-principal_point_offset_px = [2.7, 1.25]
-blur_px = 0.5
-"""
-"""The rig of the article with a quarter of the pixels, which see the same."""
-
 FULL = Effort(
-    rig_toml='preset = "article"\n',
+    small_images=False,
     n_camera_views=N_CAMERA_VIEWS,
     n_laser_poses=N_LASER_POSES,
     axis_step_deg=AXIS_STEP_DEG,
@@ -82,7 +73,7 @@ FULL = Effort(
     budget=BudgetEffort(36, 16, ("ball", "cylinder", "groove"), (1, 2, 3), with_images=True),
 )
 QUICK = Effort(
-    rig_toml=SMALL_RIG,
+    small_images=True,
     n_camera_views=12,
     n_laser_poses=8,
     axis_step_deg=4.0,
@@ -119,6 +110,12 @@ COMPLEX_TITLES = {
 """The parts of figure 16, by their name in :mod:`rotaline.simulation.complex_parts`."""
 
 _PHOTO_ANGLE_DEG, _PHOTO_LIGHT = 20.0, 0.8
+
+
+def article_rig(small_images: bool) -> RigFile:
+    """The rig of section 5.1; with ``small_images`` a quarter of the pixels see the same."""
+    rig_file = read_preset("article")
+    return quick_look(rig_file) if small_images else rig_file
 
 
 def mount_names() -> tuple[str, ...]:

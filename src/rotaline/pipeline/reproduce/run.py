@@ -9,7 +9,6 @@ from typing import TypeVar
 
 from rotaline.errors import CalibrationError, DetectionError, GeometryError, MeasurementError
 from rotaline.io.report.reproduction import Reproduction, ReproductionInfo
-from rotaline.io.rig_file import parse_rig
 from rotaline.pipeline.observer import Observer
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.reproduce.article import ARTICLE_OPTIONS
@@ -24,7 +23,7 @@ from rotaline.pipeline.reproduce.experiments import (
     system_of,
 )
 from rotaline.pipeline.reproduce.measured import claims_table, disturbed_table, parts_section, stepped_table
-from rotaline.pipeline.reproduce.plan import FULL, QUICK, SMALL_RIG, complex_plans, session_plans
+from rotaline.pipeline.reproduce.plan import FULL, QUICK, article_rig, complex_plans, session_plans
 from rotaline.pipeline.reproduce.rows import RULE, changed_options
 from rotaline.pipeline.reproduce.sessions import joined, render_session
 from rotaline.pipeline.reproduce.workbench import QuietObserver, Workbench
@@ -53,7 +52,7 @@ def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: in
     start = time.perf_counter()
     check_writable(folder)
     effort = QUICK if quick else FULL
-    rig_file = parse_rig(effort.rig_toml, "preset article")
+    rig_file = article_rig(effort.small_images)
     rig = rig_file.rig()
     shapes = complex_parts()
     complex_sessions = complex_plans(rig, shapes, effort, seed)
@@ -77,7 +76,7 @@ def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: in
         )
     simulation = simulation_section()
     claims = claims_table(sensor, mounts.table if mounts else None, stepped, disturbed, parts)
-    limits = BudgetBench(parse_rig(SMALL_RIG, "preset article"), effort, seed, folder / "sessions", store, observer)
+    limits = BudgetBench(article_rig(small_images=True), effort, seed, folder / "sessions", store, observer)
     budget = attempts.do("Budget", lambda: make_budget(limits))
     store.forget_unused()
     info = ReproductionInfo(
