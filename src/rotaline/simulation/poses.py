@@ -98,6 +98,7 @@ def _pixel_with_room(
     uv = camera.project(camera_from_board.apply(plate.corners_board()))
     least = 0.15 if isinstance(plate.target, CharucoBoard) else 0.0
     room = np.where(fraction > 0, 2 * middle - uv.max(axis=0), uv.min(axis=0))
+    room = np.clip(np.nan_to_num(room), -middle, middle)
     return np.asarray(middle + fraction * np.maximum(room, least * middle))
 
 

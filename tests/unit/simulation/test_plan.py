@@ -40,6 +40,10 @@ RIGS = {
 }
 
 
+FOLDING = replace(RIGS["landscape"], camera=replace(RIGS["landscape"].camera, k1=-0.3, k2=0.0))
+"""What is far outside the view is projected into the image."""
+
+
 def _rim_camera(rig, placed, base_from_frame=None):
     """Points all along the rim of the print, camera frame."""
     plate = placed.shape
@@ -213,6 +217,7 @@ def _looking_away(rig):
 @pytest.mark.parametrize(
     ("rig", "make", "target", "text"),
     [
+        (FOLDING, camera_capture, Checkerboard((18, 16), 40.0), r"768 x 688 mm.*smaller"),
         (RIGS["landscape"], camera_capture, Checkerboard((40, 30), 8.0), r"336 x 256 mm.* sees 128 x 96 mm.*smaller"),
         (
             RIGS["landscape"],
