@@ -10,7 +10,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.metrology.features import measure_feature
 from rotaline.pipeline.summary import machine, versions
-from rotaline.simulation.clouds import Ball, ScanPlan, Solid, grooved_block, scan_solids, table_top, upright_cylinder
+from rotaline.simulation.ideal.clouds import (
+    Ball,
+    ScanPlan,
+    Solid,
+    grooved_block,
+    scan_solids,
+    table_top,
+    upright_cylinder,
+)
 
 TURNED = RigidTransform.from_components([2.0, -3.0, 0.0], Rotation.from_euler("z", 20, degrees=True))
 PARTS: dict[str, tuple[tuple[Solid, ...], dict[str, float]]] = {

@@ -13,11 +13,12 @@ from dataclasses import replace
 import cv2
 
 from rotaline.pipeline.summary import machine, versions
-from rotaline.simulation.plan import BALL, CHECKERBOARD, GROOVE, STEPPED_CYLINDER, camera_capture, mount, table_disc
-from rotaline.simulation.raycast import Placed
-from rotaline.simulation.render import render_frame
+from rotaline.simulation.imaging.raycast import Placed
+from rotaline.simulation.imaging.render import render_frame
+from rotaline.simulation.parts.shapes import Shape, SteppedRod
+from rotaline.simulation.plan import camera_capture, mount, table_disc
 from rotaline.simulation.rig import Optics, Rig, Sensor, build_rig
-from rotaline.simulation.shapes import Shape, SteppedRod
+from rotaline.simulation.small_session import BALL, CHECKERBOARD, GROOVE, STEPPED_CYLINDER
 
 FRAMES = 4
 

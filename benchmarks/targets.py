@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rotaline.simulation.targets import pixel_rays, render_target
+from rotaline.simulation.ideal.targets import pixel_rays, render_target
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.detect import detect_target
 from rotaline.vision.targets.measure import measure_grid

@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 
 from rotaline.cli.app import main
-from rotaline.simulation.session import build_rig, small_plan, write_session
+from rotaline.simulation.rig import build_rig
+from rotaline.simulation.session import write_session
+from rotaline.simulation.small_session import small_plan
 
 
 @dataclass(frozen=True)

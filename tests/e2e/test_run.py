@@ -10,8 +10,10 @@ import pytest
 from rotaline.cli.app import main
 from rotaline.io.calibration_file import read_calibration
 from rotaline.io.clouds import read_points
-from rotaline.simulation.rig import Sensor
-from rotaline.simulation.session import build_rig, small_plan, truth_path, write_session
+from rotaline.simulation.rig import Sensor, build_rig
+from rotaline.simulation.session import write_session
+from rotaline.simulation.small_session import small_plan
+from rotaline.simulation.truth import truth_path
 
 pytestmark = pytest.mark.xdist_group("run")
 """One worker renders and runs the session for all of these tests."""

@@ -10,7 +10,7 @@ from rotaline.calibration.artifact import ArtifactCapture, ArtifactOptions, find
 from rotaline.calibration.model import ArtifactCalibration
 from rotaline.errors import CalibrationError
 from rotaline.geometry.primitives import Line, SteppedCylinder, unit
-from rotaline.simulation.ideal_circles import TurntableRig, ideal_feature_points, ideal_rig, pose_on_table
+from rotaline.simulation.ideal.circles import TurntableRig, ideal_feature_points, ideal_rig, pose_on_table
 
 ARTIFACT = SteppedCylinder(23.051, 36.006, 22.003, 25.005)
 TILT = (0.4, -0.3)

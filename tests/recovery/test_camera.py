@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 from rotaline.calibration.intrinsics import CameraOptions, calibrate_camera
 from rotaline.calibration.model import CameraCalibration, TargetView
 from rotaline.calibration.pose import estimate_board_pose
-from rotaline.simulation.observations import observe_target, random_board_poses
+from rotaline.simulation.ideal.observations import observe_target, random_board_poses
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Checkerboard
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.calibration.intrinsics import calibrate_camera
 from rotaline.calibration.model import TargetView
-from rotaline.simulation.observations import random_board_poses
+from rotaline.simulation.ideal.observations import random_board_poses
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Checkerboard, TargetDetection
 

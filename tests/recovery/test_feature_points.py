@@ -8,8 +8,8 @@ import pytest
 from rotaline.calibration.feature_points import FeaturePoints, extract_feature_points, extract_mount_features
 from rotaline.calibration.stepped_profile import LARGE_SIDE, PIECES, STEP, TOP
 from rotaline.geometry.primitives import Line, SteppedCylinder, unit
-from rotaline.simulation.ideal_circles import TurntableRig, ideal_feature_points, ideal_rig, pose_on_table
-from rotaline.simulation.ideal_profiles import IdealStripe, ideal_stepped_stripe
+from rotaline.simulation.ideal.circles import TurntableRig, ideal_feature_points, ideal_rig, pose_on_table
+from rotaline.simulation.ideal.profiles import IdealStripe, ideal_stepped_stripe
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.stripe.model import StripePoints
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.metrology.features import measure_feature
-from rotaline.simulation.clouds import (
+from rotaline.simulation.ideal.clouds import (
     Ball,
     ScannedPoints,
     ScanPlan,

@@ -9,7 +9,7 @@ from rotaline.calibration.cross_ratio import optimise_plane_cross_ratio
 from rotaline.calibration.laser_plane import StripeView, calibrate_laser_plane
 from rotaline.calibration.model import LaserPlaneCalibration
 from rotaline.geometry.primitives import Plane, unit
-from rotaline.simulation.observations import observe_stripe, observe_target, random_board_poses
+from rotaline.simulation.ideal.observations import observe_stripe, observe_target, random_board_poses
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target
 

@@ -8,13 +8,14 @@ from scipy.spatial import cKDTree
 
 from rotaline.calibration.model import SystemCalibration
 from rotaline.scanning.triangulation import scan_cloud
-from rotaline.simulation.observed_scan import trace_scan
-from rotaline.simulation.plan import BALL, ROD, STEPPED_CYLINDER, mount, table_disc
-from rotaline.simulation.raycast import Placed
-from rotaline.simulation.render import render_frame
+from rotaline.simulation.ideal.observed_scan import trace_scan
+from rotaline.simulation.ideal.stripe_trace import trace_stripe
+from rotaline.simulation.imaging.raycast import Placed
+from rotaline.simulation.imaging.render import render_frame
+from rotaline.simulation.parts.shapes import SteppedRod
+from rotaline.simulation.plan import mount, table_disc
 from rotaline.simulation.rig import build_rig
-from rotaline.simulation.shapes import SteppedRod
-from rotaline.simulation.stripe_trace import trace_stripe
+from rotaline.simulation.small_session import BALL, ROD, STEPPED_CYLINDER
 from rotaline.vision.stripe.extract import extract_stripe
 
 ANGLES_DEG = tuple(30.0 * i for i in range(12))

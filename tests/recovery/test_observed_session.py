@@ -12,12 +12,13 @@ from rotaline.calibration.laser_plane import StripeView, calibrate_laser_plane
 from rotaline.calibration.model import TargetView
 from rotaline.calibration.rotation_axis import calibrate_axis
 from rotaline.geometry.primitives import Line, unit
-from rotaline.simulation.observed_scan import trace_scan
-from rotaline.simulation.observed_session import trace_session
-from rotaline.simulation.plan import STEPPED_CYLINDER, demo_plan, full_turn, mount, table_disc
-from rotaline.simulation.raycast import Placed
+from rotaline.simulation.ideal.observed_scan import trace_scan
+from rotaline.simulation.ideal.observed_session import trace_session
+from rotaline.simulation.imaging.raycast import Placed
+from rotaline.simulation.parts.shapes import SteppedRod
+from rotaline.simulation.plan import full_turn, mount, table_disc
 from rotaline.simulation.rig import Mechanics, build_rig
-from rotaline.simulation.shapes import SteppedRod
+from rotaline.simulation.small_session import STEPPED_CYLINDER, small_plan
 
 RIG = build_rig((640, 480), turn_sense=-1)
 
@@ -41,9 +42,7 @@ def _angle_rad(a, b):
 
 @pytest.fixture(scope="module")
 def session():
-    plan = demo_plan(RIG)
-    captures = tuple(c for c in plan.captures if c.role in ("camera", "laser-plane", "axis"))
-    return trace_session(RIG, replace(plan, captures=captures))
+    return trace_session(RIG, small_plan(RIG, captures=("camera", "laser", "axis")))
 
 
 def test_without_noise_every_stage_finds_the_truth(session):

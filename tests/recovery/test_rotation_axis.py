@@ -6,8 +6,8 @@ import pytest
 from rotaline.calibration.model import TargetView
 from rotaline.calibration.rotation_axis import AxisOptions, calibrate_axis
 from rotaline.geometry.primitives import Line
-from rotaline.simulation.ideal_circles import TurntableRig, ideal_rig
-from rotaline.simulation.turning_target import observe_turning_target, standing_board
+from rotaline.simulation.ideal.circles import TurntableRig, ideal_rig
+from rotaline.simulation.ideal.turning_target import observe_turning_target, standing_board
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Checkerboard, TargetDetection
 from rotaline.vision.targets.ordering import permuted, symmetry_permutations

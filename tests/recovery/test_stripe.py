@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotaline.pipeline.verify_stripe import centre_bound_px, stripe_cases, verify_stripe
-from rotaline.simulation.stripes import StripeScene, render_stripe
+from rotaline.simulation.ideal.stripes import StripeScene, render_stripe
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 
 NOISE_LIMITED = [name for name, scene in stripe_cases().items() if np.isfinite(centre_bound_px(scene))]

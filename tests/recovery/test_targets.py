@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rotaline.simulation.targets import pixel_rays, render_target
+from rotaline.simulation.ideal.targets import pixel_rays, render_target
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.detect import detect_target
 from rotaline.vision.targets.grid_map import fit_grid_map

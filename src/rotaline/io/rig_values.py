@@ -31,11 +31,12 @@ from rotaline.io.rig_tables import (
     TargetTable,
     TurntableTable,
 )
-from rotaline.simulation.boards import Plate
-from rotaline.simulation.complex_parts import GENERATORS
-from rotaline.simulation.form_error import FormError
-from rotaline.simulation.material import Material
-from rotaline.simulation.mesh_files import read_mesh_part
+from rotaline.simulation.parts.boards import Plate
+from rotaline.simulation.parts.complex_parts import GENERATORS
+from rotaline.simulation.parts.form_error import FormError
+from rotaline.simulation.parts.material import Material
+from rotaline.simulation.parts.mesh_files import read_mesh_part
+from rotaline.simulation.parts.shapes import Ball, Block, Cone, GrooveBlock, Rod, Shape, SteppedRod
 from rotaline.simulation.plan import (
     CapturePlan,
     MeasurementPlan,
@@ -48,7 +49,6 @@ from rotaline.simulation.plan import (
     scan_capture,
 )
 from rotaline.simulation.rig import Laser, Light, Mechanics, Optics, Rig, Sensor
-from rotaline.simulation.shapes import Ball, Block, Cone, GrooveBlock, Rod, Shape, SteppedRod
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target
 

@@ -19,7 +19,7 @@ from rotaline.calibration.artifact import ArtifactCapture, ArtifactOptions, opti
 from rotaline.errors import OutputError
 from rotaline.geometry.primitives import Line, SteppedCylinder, unit
 from rotaline.io.report.reproduction import AxisCase
-from rotaline.simulation.ideal_circles import TABLE_1, ideal_feature_points, ideal_rig, pose_on_table
+from rotaline.simulation.ideal.circles import TABLE_1, ideal_feature_points, ideal_rig, pose_on_table
 
 ARTICLE_ARTIFACT = SteppedCylinder(23.051, 36.006, 22.003, 25.005)
 ARTICLE_MEAN_DISTANCE_MM = 2.278e-7

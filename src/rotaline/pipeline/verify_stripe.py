@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotaline.simulation.stripes import StripeScene, render_stripe
+from rotaline.simulation.ideal.stripes import StripeScene, render_stripe
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 
 METHODS: dict[str, StripeOptions] = {

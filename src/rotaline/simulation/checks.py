@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rotaline.errors import RigError
-from rotaline.simulation.boards import WHITE, Plate
+from rotaline.simulation.ideal.stripe_trace import trace_stripe
+from rotaline.simulation.imaging.raycast import Placed
+from rotaline.simulation.parts.boards import WHITE, Plate
+from rotaline.simulation.parts.shapes import Shape
 from rotaline.simulation.plan import CapturePlan, SessionPlan, Shot, table_disc
 from rotaline.simulation.poses import in_fan, in_image
-from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import Laser, Rig
-from rotaline.simulation.shapes import Shape
-from rotaline.simulation.stripe_trace import trace_stripe
 
 _LEAST_ANGLE_DEG, _GOOD_ANGLE_DEG = 5.0, 15.0
 _LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 0.4, 7.5

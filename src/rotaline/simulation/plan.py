@@ -1,9 +1,9 @@
-"""What a rendered session holds: its captures frame by frame, as values; and two plans that are used.
+"""What a rendered session holds: its captures frame by frame, as values.
 
 A plan is complete before anything is rendered: the same plan and rig always give the same session.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,22 +11,15 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.geometry.primitives import SteppedCylinder
-from rotaline.simulation.boards import Plate
-from rotaline.simulation.material import Material
+from rotaline.simulation.imaging.raycast import Placed
+from rotaline.simulation.parts.boards import Plate
+from rotaline.simulation.parts.material import Material
+from rotaline.simulation.parts.shapes import Rod, Shape
 from rotaline.simulation.poses import axis_pose, camera_poses, laser_poses
-from rotaline.simulation.raycast import Placed
-from rotaline.simulation.rig import Rig, build_rig
-from rotaline.simulation.shapes import Ball, GrooveBlock, Rod, Shape, SteppedRod
-from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
+from rotaline.simulation.rig import Rig
+from rotaline.vision.targets.model import Target
 
 IMAGE_FORMATS = ("png", "jpg", "bmp", "tiff")
-
-CHECKERBOARD = Checkerboard((14, 9), 4.5)
-DOTS = DotGrid((9, 9), 6.0, 3.0)
-STEPPED_CYLINDER = SteppedCylinder(23.051, 36.006, 22.003, 25.005)
-BALL = Ball(28.475)
-ROD = Rod(38.004, 40.0)
-GROOVE = GrooveBlock(46.0, 32.0, 24.0, 12.003, 22.0, 12.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,99 +202,3 @@ def scan_capture(
 def full_turn(n_frames: int) -> tuple[float, ...]:
     """Equal steps over a full turn, deg."""
     return tuple(360.0 * i / n_frames for i in range(n_frames))
-
-
-def shuffled_turn(n_frames: int, seed: int) -> tuple[float, ...]:
-    """A full turn in uneven steps and mixed order, as ``angle_deg`` may come, deg."""
-    rng = np.random.default_rng([seed, 3])
-    angles = (np.arange(n_frames) + rng.uniform(-0.35, 0.35, n_frames)) * 360.0 / n_frames
-    return tuple(float(a) for a in np.round(rng.permutation(angles), 4))
-
-
-def _stepped(rig: Rig, folder: str, pose: RigidTransform, angles_deg: tuple[float, ...]) -> CapturePlan:
-    shape = SteppedRod(STEPPED_CYLINDER)
-    return scan_capture(rig, shape, pose, angles_deg, folder=folder, role="artifact", target="stepped-cylinder")
-
-
-_SCANS: tuple[tuple[str, Shape, str, RigidTransform, str], ...] = (
-    ("ball", BALL, "sphere", mount(3.1, -1.2), "diameter"),
-    ("rod", ROD, "cylinder", mount(-2.4, 0.8, tilt_deg=0.02, tilt_towards_deg=70.0), "diameter"),
-    ("groove", GROOVE, "groove", mount(0.9, 1.6, turn_deg=34.0), "depth"),
-)
-_TARGETS: dict[str, Target | SteppedCylinder] = {
-    "checkerboard": CHECKERBOARD,
-    "dots": DOTS,
-    "stepped-cylinder": STEPPED_CYLINDER,
-}
-
-
-def demo_rig() -> Rig:
-    """The rig of ``make demo``: grey, 8 bit, 640 x 480."""
-    return build_rig((640, 480))
-
-
-def demo_plan(rig: Rig | None = None, seed: int = 1) -> SessionPlan:
-    """The session of ``make demo``: every stage of the chain, as few frames as give good results; None: :func:`demo_rig`."""
-    rig = demo_rig() if rig is None else rig
-    turn = full_turn(40)
-    captures = [
-        camera_capture(rig, CHECKERBOARD, "checkerboard", 18, seed),
-        laser_capture(rig, DOTS, "dots", 8, seed),
-        axis_capture(rig, CHECKERBOARD, "checkerboard", tuple(4.0 * i for i in range(11))),
-        _stepped(rig, "stepped-1", mount(0.3, 0.4, tilt_deg=0.02), turn),
-        _stepped(rig, "stepped-2", mount(-4.1, 2.9, tilt_deg=0.015, tilt_towards_deg=120.0), turn),
-        *(
-            scan_capture(rig, shape, pose, full_turn(36), folder=folder, target=folder)
-            for folder, shape, _, pose, _ in _SCANS
-        ),
-    ]
-    measurements = tuple(
-        MeasurementPlan(folder, feature, {key: shape.sizes()[key]}) for folder, shape, feature, _, key in _SCANS
-    )
-    return SessionPlan(_TARGETS, tuple(captures), measurements, seed=seed)
-
-
-def small_plan(
-    rig: Rig,
-    *,
-    captures: tuple[str, ...] = ("camera", "laser", "axis", "stepped", "ball"),
-    shuffled: bool = False,
-    plate_visible: bool = False,
-    image_format: str = "png",
-    seed: int = 1,
-) -> SessionPlan:
-    """A session for tests: few frames, only the captures that are asked for.
-
-    Parameters
-    ----------
-    rig : Rig
-    captures : of "camera", "laser", "axis", "stepped" (one mount, 5 mm off centre), "ball", "rod", "groove"
-    shuffled : uneven angles in mixed order
-    plate_visible : the dot plate can be seen in its laser-on frames
-    image_format : one of ``IMAGE_FORMATS``
-    seed : of poses, angles and noise
-    """
-
-    def turn(n: int) -> tuple[float, ...]:
-        return shuffled_turn(n, seed) if shuffled else full_turn(n)
-
-    axis_angles = tuple(5.0 * i for i in range(9))
-    ambient_fraction = 0.4 if plate_visible else None
-    makers: dict[str, Callable[[], CapturePlan]] = {
-        "camera": lambda: camera_capture(rig, CHECKERBOARD, "checkerboard", 10, seed),
-        "laser": lambda: laser_capture(rig, DOTS, "dots", 5, seed, ambient_fraction=ambient_fraction),
-        "axis": lambda: axis_capture(rig, CHECKERBOARD, "checkerboard", axis_angles),
-        "stepped": lambda: _stepped(rig, "stepped", mount(-4.1, 2.9), turn(16)),
-    }
-    measurements = []
-    for folder, shape, feature, pose, key in _SCANS:
-        makers[folder] = lambda folder=folder, shape=shape, pose=pose: scan_capture(  # type: ignore[misc]
-            rig, shape, pose, turn(16), folder=folder, target=folder
-        )
-        if folder in captures:
-            measurements.append(MeasurementPlan(folder, feature, {key: shape.sizes()[key]}))
-    unknown = [name for name in captures if name not in makers]
-    if unknown:
-        raise ValueError(f"Unknown captures {unknown}; there are {list(makers)}.")
-    plans = tuple(makers[name]() for name in captures)
-    return SessionPlan(_TARGETS, plans, tuple(measurements), image_format, seed)

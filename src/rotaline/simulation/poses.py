@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.errors import RigError
 from rotaline.geometry.primitives import unit
-from rotaline.simulation.boards import Plate
+from rotaline.simulation.parts.boards import Plate
 from rotaline.simulation.rig import Laser, Rig
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import CharucoBoard

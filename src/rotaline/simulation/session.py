@@ -16,13 +16,11 @@ from scipy.spatial.transform import RigidTransform
 
 from rotaline.errors import OutputError
 from rotaline.geometry.primitives import SteppedCylinder
-from rotaline.simulation.plan import CapturePlan, SessionPlan, Shot, demo_plan, demo_rig, small_plan
-from rotaline.simulation.render import render_frame
-from rotaline.simulation.rig import Rig, build_rig
+from rotaline.simulation.imaging.render import render_frame
+from rotaline.simulation.plan import CapturePlan, SessionPlan, Shot
+from rotaline.simulation.rig import Rig
 from rotaline.simulation.truth import fingerprint, image_name, true_poses, truth, truth_path
 from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
-
-__all__ = ["build_rig", "demo_plan", "demo_rig", "session_toml", "small_plan", "truth", "truth_path", "write_session"]
 
 JPEG_QUALITY = 97
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rotaline.simulation.imaging.raycast import Placed
 from rotaline.simulation.mechanics import base_from_table
 from rotaline.simulation.plan import CapturePlan, SessionPlan
-from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import Rig
 
 _LARGEST_LIST = 64
@@ -124,7 +124,7 @@ def fingerprint(rig: Rig, plan: SessionPlan) -> str:
 @cache
 def _source_key() -> str:
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 

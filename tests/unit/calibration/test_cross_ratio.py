@@ -13,7 +13,7 @@ from rotaline.calibration.stripe_on_board import board_plane, place_stripe_on_bo
 from rotaline.errors import CalibrationError
 from rotaline.geometry.intersect import intersect_rays_with_plane
 from rotaline.geometry.primitives import Plane, unit
-from rotaline.simulation.observations import observe_stripe, observe_target, random_board_poses
+from rotaline.simulation.ideal.observations import observe_stripe, observe_target, random_board_poses
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import DotGrid
 

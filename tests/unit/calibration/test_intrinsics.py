@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rotaline.calibration.intrinsics import CameraOptions, calibrate_camera
 from rotaline.calibration.model import TargetView
 from rotaline.errors import CalibrationError
-from rotaline.simulation.observations import observe_target, random_board_poses
+from rotaline.simulation.ideal.observations import observe_target, random_board_poses
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
 

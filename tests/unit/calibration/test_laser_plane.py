@@ -11,7 +11,7 @@ from rotaline.calibration.pose import estimate_board_pose
 from rotaline.calibration.stripe_on_board import place_stripe_on_board
 from rotaline.errors import CalibrationError, DetectionError
 from rotaline.geometry.primitives import Plane, unit
-from rotaline.simulation.observations import observe_stripe, observe_target, random_board_poses
+from rotaline.simulation.ideal.observations import observe_stripe, observe_target, random_board_poses
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target, target_height
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.calibration.pose import estimate_board_pose
 from rotaline.errors import GeometryError
-from rotaline.simulation.observations import observe_target, random_board_poses
+from rotaline.simulation.ideal.observations import observe_target, random_board_poses
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Checkerboard, DotGrid
 

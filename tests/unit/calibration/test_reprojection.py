@@ -14,7 +14,7 @@ from rotaline.calibration.reprojection import (
     refine_bundle,
     set_parameters,
 )
-from rotaline.simulation.observations import observe_target, random_board_poses
+from rotaline.simulation.ideal.observations import observe_target, random_board_poses
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Checkerboard
 

@@ -7,8 +7,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rotaline.calibration.model import TargetView
 from rotaline.calibration.rotation_axis import calibrate_axis
 from rotaline.errors import CalibrationError
-from rotaline.simulation.ideal_circles import ideal_rig
-from rotaline.simulation.turning_target import observe_turning_target, standing_board
+from rotaline.simulation.ideal.circles import ideal_rig
+from rotaline.simulation.ideal.turning_target import observe_turning_target, standing_board
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
 

@@ -10,7 +10,7 @@ from rotaline.calibration.laser_plane import StripeView
 from rotaline.calibration.row_crossings import distance_from_cross_ratio, find_intervals
 from rotaline.calibration.stripe_on_board import place_stripe_on_board
 from rotaline.geometry.primitives import Plane, unit
-from rotaline.simulation.observations import observe_stripe, observe_target, random_board_poses
+from rotaline.simulation.ideal.observations import observe_stripe, observe_target, random_board_poses
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import DotGrid
 

@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.calibration.homography import fit_homography
 from rotaline.calibration.zhang import camera_from_homographies, focal_from_homographies, start_cameras
-from rotaline.simulation.observations import random_board_poses
+from rotaline.simulation.ideal.observations import random_board_poses
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Checkerboard
 

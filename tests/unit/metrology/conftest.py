@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rotaline.simulation.clouds import (
+from rotaline.simulation.ideal.clouds import (
     Ball,
     ScannedPoints,
     ScanPlan,

@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rotaline.errors import MeasurementError
 from rotaline.metrology.features import MeasureOptions, measure_feature
 from rotaline.metrology.model import FeatureMeasurement, Region
-from rotaline.simulation.clouds import ScannedPoints
+from rotaline.simulation.ideal.clouds import ScannedPoints
 
 TRUTH = {
     ("ball", "sphere"): {"diameter": 28.475},

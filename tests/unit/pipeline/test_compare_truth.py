@@ -13,7 +13,8 @@ from rotaline.geometry.primitives import Line, Plane
 from rotaline.io.calibration_file import CalibrationFile, write_calibration
 from rotaline.pipeline.compare_truth import VOLUME_HEIGHT_MM, compare_with_truth, truth_beside
 from rotaline.simulation.rig import build_rig
-from rotaline.simulation.session import small_plan, truth
+from rotaline.simulation.small_session import small_plan
+from rotaline.simulation.truth import truth
 
 RIG = build_rig((320, 240), turn_sense=-1)
 

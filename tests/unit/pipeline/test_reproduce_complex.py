@@ -3,8 +3,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.pipeline.reproduce.complex import covered_fraction, judge_detail, standing_out_mm
-from rotaline.simulation.complex_parts import ComplexPart, Detail
-from rotaline.simulation.mesh import MeshPart
+from rotaline.simulation.parts.complex_parts import ComplexPart, Detail
+from rotaline.simulation.parts.mesh import MeshPart
 
 
 def _pyramid(height_mm, n=61, half_mm=6.0):

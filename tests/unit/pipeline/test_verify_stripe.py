@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rotaline.pipeline.verify_stripe import METHODS, centre_bound_px, stripe_cases, verify_stripe
-from rotaline.simulation.stripes import StripeScene
+from rotaline.simulation.ideal.stripes import StripeScene
 
 
 def test_the_bound_is_that_of_the_textbook():

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from rotaline.errors import GeometryError
 from rotaline.scanning.cloud import PointCloud
 from rotaline.scanning.surface import Surface, SurfaceOptions, oriented_normals, reconstruct_surface
-from rotaline.simulation.clouds import Ball, ScanPlan, Solid, scan_solids, table_top, upright_cylinder
+from rotaline.simulation.ideal.clouds import Ball, ScanPlan, Solid, scan_solids, table_top, upright_cylinder
 
 PLAN = ScanPlan(step_deg=4.0, n_rays=400, blur_rays=1)
 FAST = SurfaceOptions(depth=7)

@@ -10,19 +10,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rotaline.errors import RigError
 from rotaline.geometry.primitives import Plane, unit
 from rotaline.simulation.checks import check_scene, require_scene
-from rotaline.simulation.plan import (
-    BALL,
-    ROD,
-    SessionPlan,
-    camera_capture,
-    full_turn,
-    laser_capture,
-    mount,
-    scan_capture,
-    small_plan,
-)
+from rotaline.simulation.parts.shapes import Rod
+from rotaline.simulation.plan import SessionPlan, camera_capture, full_turn, laser_capture, mount, scan_capture
 from rotaline.simulation.rig import Laser, Optics, build_rig
-from rotaline.simulation.shapes import Rod
+from rotaline.simulation.small_session import BALL, ROD, small_plan
 from rotaline.vision.targets.model import Checkerboard
 
 RIG = build_rig((320, 240))

@@ -58,4 +58,4 @@ def test_the_parts_stand_in_view(rig):
 
 def test_a_bit_depth_that_no_file_has_is_refused():
     with pytest.raises(ValueError, match="bit_depth"):
-        Sensor(bit_depth=12)
+        Sensor(bit_depth=10)

@@ -12,9 +12,10 @@ import pytest
 
 import rotaline.simulation.session as session_module
 from rotaline.errors import OutputError
-from rotaline.simulation.plan import SessionPlan, small_plan
+from rotaline.simulation.plan import SessionPlan
 from rotaline.simulation.rig import Mechanics, Sensor, build_rig
 from rotaline.simulation.session import Unfinished, session_toml, unfinished, write_session
+from rotaline.simulation.small_session import small_plan
 from rotaline.simulation.truth import fingerprint, true_poses, truth, truth_path
 from rotaline.vision.targets.model import CharucoBoard
 

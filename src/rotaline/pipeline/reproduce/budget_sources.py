@@ -10,9 +10,9 @@ from rotaline.geometry.primitives import Plane
 from rotaline.io.rig_file import RigFile
 from rotaline.io.rig_values import plate_of
 from rotaline.pipeline.reproduce.article import STEPPED_CYLINDER
-from rotaline.simulation.boards import Plate
+from rotaline.simulation.parts.boards import Plate
+from rotaline.simulation.parts.shapes import SteppedRod
 from rotaline.simulation.rig import Mechanics, Rig
-from rotaline.simulation.shapes import SteppedRod
 
 BASE_NOISE_PX = 0.01
 BASE_LINE_WIDTH_MM = 0.1

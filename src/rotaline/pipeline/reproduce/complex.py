@@ -19,8 +19,8 @@ from rotaline.pipeline.store import StageStore, key_of
 from rotaline.pipeline.summary import PICTURE_WIDTH, thinned
 from rotaline.scanning.cloud import PointCloud
 from rotaline.scanning.surface import reconstruct_surface
-from rotaline.simulation.complex_parts import ComplexPart, Detail
-from rotaline.simulation.mesh_distance import signed_distances_to_mesh
+from rotaline.simulation.parts.complex_parts import ComplexPart, Detail
+from rotaline.simulation.parts.mesh_distance import signed_distances_to_mesh
 from rotaline.simulation.plan import SessionPlan
 from rotaline.simulation.rig import Rig
 from rotaline.vision.images import read_image, small_picture

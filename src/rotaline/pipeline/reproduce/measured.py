@@ -26,7 +26,7 @@ from rotaline.pipeline.reproduce.plan import N_MOUNTS, PARTS, Part, mount_names
 from rotaline.pipeline.reproduce.rows import average, error_figure, list_table, plain_figure, reduction_percent
 from rotaline.pipeline.reproduce.workbench import Workbench
 from rotaline.pipeline.summary import fitted_points
-from rotaline.simulation.ideal_circles import TABLE_1
+from rotaline.simulation.ideal.circles import TABLE_1
 from rotaline.simulation.rig import Rig
 
 _DIAMETERS = (

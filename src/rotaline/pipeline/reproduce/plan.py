@@ -17,8 +17,8 @@ from rotaline.pipeline.reproduce.article import (
     N_LASER_POSES,
     STEPPED_CYLINDER,
 )
-from rotaline.simulation.boards import Plate
-from rotaline.simulation.complex_parts import ComplexPart
+from rotaline.simulation.parts.boards import Plate
+from rotaline.simulation.parts.complex_parts import ComplexPart
 from rotaline.simulation.plan import (
     CapturePlan,
     SessionPlan,
@@ -107,7 +107,7 @@ COMPLEX_TITLES = {
     "rubber_model": "Rubber model",
     "thread_connector": "Pipe connector with a thread",
 }
-"""The parts of figure 16, by their name in :mod:`rotaline.simulation.complex_parts`."""
+"""The parts of figure 16, by their name in :mod:`rotaline.simulation.parts.complex_parts`."""
 
 _PHOTO_ANGLE_DEG, _PHOTO_LIGHT = 20.0, 0.8
 

@@ -29,7 +29,7 @@ from rotaline.pipeline.reproduce.sessions import joined, render_session
 from rotaline.pipeline.reproduce.workbench import QuietObserver, Workbench
 from rotaline.pipeline.store import StageStore, check_writable
 from rotaline.pipeline.summary import machine, versions
-from rotaline.simulation.complex_parts import complex_parts
+from rotaline.simulation.parts.complex_parts import complex_parts
 
 T = TypeVar("T")
 

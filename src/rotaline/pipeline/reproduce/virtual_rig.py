@@ -25,13 +25,13 @@ from rotaline.pipeline.options import Options
 from rotaline.pipeline.parts import artifact_sizes, measure_request, system_at_optical_axis
 from rotaline.pipeline.reproduce.article import STEPPED_CYLINDER
 from rotaline.scanning.triangulation import scan_cloud
-from rotaline.simulation.boards import Plate
+from rotaline.simulation.ideal.observed_scan import IdealScan, trace_scan
+from rotaline.simulation.ideal.stripe_trace import trace_stripe
+from rotaline.simulation.imaging.raycast import Placed
 from rotaline.simulation.mechanics import base_from_table
-from rotaline.simulation.observed_scan import IdealScan, trace_scan
+from rotaline.simulation.parts.boards import Plate
 from rotaline.simulation.plan import CapturePlan
-from rotaline.simulation.raycast import Placed
 from rotaline.simulation.rig import Rig
-from rotaline.simulation.stripe_trace import trace_stripe
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.stripe.model import StripePoints
 from rotaline.vision.targets.model import TargetDetection

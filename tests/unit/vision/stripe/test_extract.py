@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotaline.simulation.stripes import StripeScene, render_stripe
+from rotaline.simulation.ideal.stripes import StripeScene, render_stripe
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 
 METHODS = ("gray-gravity", "improved-gray-gravity", "steger", "profile-fit")

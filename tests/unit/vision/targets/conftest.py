@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rotaline.simulation.targets import pixel_rays, render_target
+from rotaline.simulation.ideal.targets import pixel_rays, render_target
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Target
 

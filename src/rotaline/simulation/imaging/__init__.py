@@ -1,0 +1,1 @@
+"""From a scene to an image: rays, light, blur, speckle, grey values."""
