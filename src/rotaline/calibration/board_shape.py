@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import stats
 
 from rotaline.calibration.reprojection import BundleFit, covariance_from_factor
@@ -47,18 +47,44 @@ def bend_bases(detections: Sequence[TargetDetection]) -> tuple[Float[np.ndarray,
     return tuple(bases)
 
 
-def bent_targets(
-    detections: Sequence[TargetDetection], bend: Float[np.ndarray, " m"]
+def targets_as_found(
+    detections: Sequence[TargetDetection], bend: Float[np.ndarray, " m"], offsets: Float[np.ndarray, "k 2"]
 ) -> tuple[tuple[Target, ...], tuple[Target, ...]]:
-    """The targets as they were stated, and as they are with the parameters of :func:`bend_bases`."""
+    """The targets as they were stated, and as they were found; those that were found to be as stated are left out.
+
+    Parameters
+    ----------
+    detections : of all views
+    bend : parameters of :func:`bend_bases`; none: the targets are flat
+    offsets : mm, of the points with the numbers of :func:`point_numbers`; none: all are where they should be
+    """
     targets = _targets(detections)
-    bent, start = [], 0
+    starts = _first_numbers(targets)
+    found, start = [], 0
     for target in targets:
-        matrix = _coefficients(target)
-        a, b, c = (matrix @ bend[start : start + matrix.shape[1]]).tolist()
-        start += matrix.shape[1]
-        bent.append(replace(target, bend=(a, b, c)))
-    return targets, tuple(bent)
+        now = target
+        if len(bend):
+            matrix = _coefficients(target)
+            a, b, c = (matrix @ bend[start : start + matrix.shape[1]]).tolist()
+            start += matrix.shape[1]
+            now = replace(now, bend=(a, b, c))
+        if target in starts and len(offsets):
+            own = offsets[starts[target] : starts[target] + len(target.points_board())]
+            now = replace(now, offsets=tuple((x, y) for x, y in own.tolist()))
+        found.append(now)
+    changed = [k for k, now in enumerate(found) if now != targets[k]]
+    return tuple(targets[k] for k in changed), tuple(found[k] for k in changed)
+
+
+def point_numbers(detections: Sequence[TargetDetection]) -> tuple[Int[np.ndarray, " n"], ...]:
+    """A number for each point of all targets together, for each row of each detection.
+
+    It is -1 for targets that may be read from more than one side: which of their points is which, views do not tell.
+    """
+    starts = _first_numbers(_targets(detections))
+    return tuple(
+        starts[d.target] + d.point_ids if d.target in starts else np.full(len(d.point_ids), -1) for d in detections
+    )
 
 
 def is_bend_shown(fit: BundleFit, variance_px2: float) -> bool:
@@ -98,6 +124,16 @@ def leave_one_out_changes(fit: BundleFit) -> Float[np.ndarray, "v p"]:
 
 def _targets(detections: Sequence[TargetDetection]) -> tuple[Target, ...]:
     return tuple(dict.fromkeys(d.target for d in detections))
+
+
+def _first_numbers(targets: Sequence[Target]) -> dict[Target, int]:
+    """Number of the first point of each target that can be read from one side only."""
+    starts, n = {}, 0
+    for target in targets:
+        if len(symmetry_permutations(target)) == 1:
+            starts[target] = n
+            n += len(target.points_board())
+    return starts
 
 
 def _coefficients(target: Target) -> Float[np.ndarray, "3 m"]:

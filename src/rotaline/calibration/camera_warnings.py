@@ -65,11 +65,31 @@ def describe_bent_targets(targets: Sequence[Target]) -> list[str]:
     warnings = []
     for target in targets:
         heights = target.points_board()[:, 2]
+        if not heights.any():
+            continue
         columns, rows = target.grid_size
         warnings.append(
             f"The target of {columns} x {rows} points is not flat: its points lie up to {np.ptp(heights):.3f} mm apart in height. "
             "This is taken into account; a flat, stiff target (glass, aluminium) gives a better camera."
         )
+    return warnings
+
+
+def describe_offsets(
+    targets: Sequence[Target], views: Sequence[CameraView], camera: CameraModel, sigma_px: float
+) -> list[str]:
+    """Targets whose points are off their places by more than the noise of a point in the image."""
+    depths = [float(view.camera_from_board.translation[2]) for view in views if view.used]
+    px_per_mm = camera.fx / float(np.median(depths))
+    warnings = []
+    for target in targets:
+        off_mm = float(np.sqrt(np.mean(np.square(target.offsets)))) if target.offsets else 0.0
+        if off_mm * px_per_mm > sigma_px:
+            columns, rows = target.grid_size
+            warnings.append(
+                f"The points of the target of {columns} x {rows} points are off their places by {off_mm:.3f} mm (RMS in x and in y). "
+                "This is taken into account; only the size of the print as a whole cannot be seen by the camera: measure it."
+            )
     return warnings
 
 

@@ -17,29 +17,37 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import RigidTransform
 
-from rotaline.calibration.board_shape import bend_bases, bent_targets, is_bend_shown, leave_one_out_changes
-from rotaline.calibration.camera_warnings import describe_bent_targets, describe_weak_parameters, describe_weak_views
+from rotaline.calibration.board_shape import targets_as_found
+from rotaline.calibration.camera_warnings import (
+    describe_bent_targets,
+    describe_offsets,
+    describe_weak_parameters,
+    describe_weak_views,
+)
 from rotaline.calibration.capture_consistency import capture_of, describe_conflict, find_conflict
 from rotaline.calibration.homography import pose_from_homography
 from rotaline.calibration.lens_prior import lens_prior, without_distortion
 from rotaline.calibration.model import CameraCalibration, CameraView, TargetView
 from rotaline.calibration.pose import estimate_board_pose
+from rotaline.calibration.print_offsets import OffsetFit
 from rotaline.calibration.reprojection import (
-    MAX_ITERATIONS,
     BundleFit,
     Prior,
     covariance_from_factor,
     refine_bundle,
     reprojection_residuals,
 )
-from rotaline.calibration.view_selection import (
-    MIN_VIEWS,
-    RAYLEIGH_MEDIAN,
-    ViewState,
-    judge_views,
-    same_selection,
-    start_views,
+from rotaline.calibration.view_rejection import (
+    Rules,
+    assign_poses,
+    let_points_off,
+    refine,
+    reject,
+    reject_bent,
+    require_views,
+    uncertainty,
 )
+from rotaline.calibration.view_selection import MIN_VIEWS, RAYLEIGH_MEDIAN, ViewState, start_views
 from rotaline.calibration.zhang import start_cameras
 from rotaline.errors import CalibrationError, GeometryError
 from rotaline.vision.camera import CameraModel
@@ -47,8 +55,6 @@ from rotaline.vision.camera import CameraModel
 _CAUCHY = 2.4
 _ROBUST_ROUNDS = 10
 _ROBUST_ITERATIONS = 4
-_REJECTION_ROUNDS = 6
-_SPREAD_RATIO = 2.0
 _LENIENT = 4.0
 _MANY_POINTS = 0.05
 """Part of a view's points that may be far off without a word: a few are in most images."""
@@ -73,7 +79,8 @@ class CameraOptions:
     board: Literal["auto", "flat"] = field(
         default="auto",
         metadata={
-            "help": "auto: estimate how the target is bent where the views clearly show it; flat: take it for flat"
+            "help": "auto: estimate how the target is bent, and how far its points are off, where the views clearly show it; "
+            "flat: take it for flat, and its points for exact"
         },
     )
     outlier_sigma: float = field(
@@ -114,23 +121,26 @@ def calibrate_camera(
         image): add views with the target turned by 20 to 45 deg about different axes.
     """
     names = _parameter_names(options.distortion)
+    rules = Rules(options.outlier_sigma, options.view_outlier_ratio, options.board == "flat")
     state = start_views(views)
-    _require_views(state, views)
+    require_views(state, views)
     camera, poses = _find_start([s for s in state if not s.reason], image_size)
     camera = camera if "k1" in names else replace(camera, k1=0.0)
-    state = _assign_poses(state, poses)
+    state = assign_poses(state, poses)
     state, camera = _fit_robust(state, camera, names)
     turned = _without_mirror_poses(state, camera)
     if any(a.pose is not b.pose for a, b in zip(turned, state, strict=True)):
         state, camera = _fit_robust(turned, camera, names)
-    state, warnings = _leave_out_other_cameras(state, views, camera, names, options, preferred)
-    state, fit = _reject_bent(state, views, camera, names, options)
-    u_parameters, sigma_px, spread_ratio = _uncertainty(fit, state)
+    state, warnings = _leave_out_other_cameras(state, views, camera, names, rules, preferred)
+    stated, stated_fit = reject_bent(state, views, camera, names, rules)
+    state, fit = let_points_off(stated, stated_fit, views, names, None, rules)
+    u_parameters, sigma_px, spread_ratio = uncertainty(fit, state)
     weak = _describe_weak(fit, state, names)
     if weak and options.weak_parameters == "regularise":
         prior = lens_prior(names, image_size, fit.camera, spread_ratio * sigma_px)
-        state, fit = _reject(state, views, without_distortion(fit.camera, image_size), names, prior, options)
-        u_parameters, sigma_px, spread_ratio = _uncertainty(fit, state, spread_ratio)
+        state, stated_fit = reject(stated, views, without_distortion(fit.camera, image_size), names, prior, rules)
+        state, fit = let_points_off(state, stated_fit, views, names, prior, rules)
+        u_parameters, sigma_px, spread_ratio = uncertainty(fit, state, spread_ratio)
         warnings.append(
             "The views do not determine the camera by themselves ("
             + "; ".join(weak)
@@ -153,8 +163,10 @@ def calibrate_camera(
         )
     results = tuple(_view_result(view, s, fit.camera) for view, s in zip(views, state, strict=True))
     used = [v for v in results if v.used]
-    stated, found = bent_targets([view.detection for view in views], fit.bend) if len(fit.bend) else ((), ())
+    offsets = fit.offsets if isinstance(fit, OffsetFit) else np.zeros((0, 2))
+    as_stated, found = targets_as_found([view.detection for view in views], fit.bend, offsets)
     warnings += describe_bent_targets(found)
+    warnings += describe_offsets(found, results, fit.camera, sigma_px)
     warnings += describe_weak_views(fit.camera, used)
     warnings += _describe_outliers(views, state, fit.camera)
     lengths = np.concatenate([np.linalg.norm(v.residuals_px, axis=1) for v in used])
@@ -167,7 +179,7 @@ def calibrate_camera(
         float(np.sqrt(np.mean(lengths**2))),
         float(np.mean(lengths)),
         tuple(warnings),
-        stated,
+        as_stated,
         found,
     )
 
@@ -175,17 +187,6 @@ def calibrate_camera(
 def _parameter_names(distortion: str) -> tuple[str, ...]:
     terms = {"none": "", "k1": "k1", "k1k2": "k1 k2", "k1k2p1p2": "k1 k2 p1 p2", "k1k2p1p2k3": "k1 k2 p1 p2 k3"}
     return ("fx", "fy", "cx", "cy", *terms[distortion].split())
-
-
-def _require_views(state: Sequence[ViewState], views: Sequence[TargetView]) -> None:
-    usable = sum(not s.reason for s in state)
-    if usable < MIN_VIEWS:
-        lost = [f"{v.name}: {s.reason}" for v, s in zip(views, state, strict=True) if s.reason]
-        raise CalibrationError(
-            f"The camera needs at least {MIN_VIEWS} views of a target in different poses, found {usable}"
-            + (f" ({'; '.join(lost[:5])})" if lost else "")
-            + ". Add images of the target, turned by 20 to 45 deg about different axes."
-        )
 
 
 def _find_start(state: Sequence[ViewState], image_size: tuple[int, int]) -> tuple[CameraModel, list[RigidTransform]]:
@@ -224,32 +225,6 @@ def _pose_of(camera: CameraModel, state: ViewState) -> RigidTransform:
     return pose_from_homography(to_normalised @ state.homography)
 
 
-def _assign_poses(state: Sequence[ViewState], poses: Sequence[RigidTransform]) -> list[ViewState]:
-    """Give the views that are still in their new poses, in order."""
-    remaining = iter(poses)
-    return [s if s.reason else replace(s, pose=next(remaining)) for s in state]
-
-
-def _refine(
-    state: Sequence[ViewState],
-    camera: CameraModel,
-    names: tuple[str, ...],
-    prior: Prior | None,
-    max_iterations: int = MAX_ITERATIONS,
-    with_bend: bool = False,
-) -> BundleFit:
-    active = [s for s in state if not s.reason]
-    return refine_bundle(
-        camera,
-        [s.pose for s in active if s.pose is not None],
-        [s.observation for s in active],
-        names,
-        prior,
-        max_iterations,
-        with_bend,
-    )
-
-
 def _fit_robust(
     state: Sequence[ViewState], camera: CameraModel, names: tuple[str, ...]
 ) -> tuple[list[ViewState], CameraModel]:
@@ -269,9 +244,9 @@ def _fit_robust(
         current = [
             s if s.reason else replace(s, observation=s.observation.with_weights(next(weighted))) for s in current
         ]
-        fit = _refine(current, camera, names, None, _ROBUST_ITERATIONS)
+        fit = refine(current, camera, names, None, _ROBUST_ITERATIONS)
         moved = abs(fit.camera.fx / camera.fx - 1)
-        camera, current = fit.camera, _assign_poses(current, fit.poses)
+        camera, current = fit.camera, assign_poses(current, fit.poses)
         if k > 1 and moved < 1e-5:
             break
     return [replace(s, observation=s.observation.with_weights(np.ones(len(s.observation.uv)))) for s in current], camera
@@ -298,8 +273,8 @@ def _without_mirror_poses(state: Sequence[ViewState], camera: CameraModel) -> li
     return turned
 
 
-def _describe_weak(fit: BundleFit, state: Sequence[ViewState], names: tuple[str, ...]) -> list[str]:
-    _, sigma_px, spread_ratio = _uncertainty(fit, state)
+def _describe_weak(fit: BundleFit | OffsetFit, state: Sequence[ViewState], names: tuple[str, ...]) -> list[str]:
+    _, sigma_px, spread_ratio = uncertainty(fit, state)
     cov = covariance_from_factor(fit.information, (spread_ratio * sigma_px) ** 2)[: len(names), : len(names)]
     return describe_weak_parameters(fit.camera, names, cov)
 
@@ -309,16 +284,16 @@ def _leave_out_other_cameras(
     views: Sequence[TargetView],
     camera: CameraModel,
     names: tuple[str, ...],
-    options: CameraOptions,
+    rules: Rules,
     preferred: frozenset[str],
 ) -> tuple[list[ViewState], list[str]]:
     """Leave out captures that show another camera than a preferred one, if that alone determines its camera; say so."""
     captures = [capture_of(view.name) for view in views]
     current, warnings = list(state), []
     # views of another camera fit badly: they must not be thrown out one by one before they are understood
-    lenient = replace(options, view_outlier_ratio=_LENIENT * options.view_outlier_ratio)
+    lenient = replace(rules, view_outlier_ratio=_LENIENT * rules.view_outlier_ratio)
     for _ in range(len(set(captures)) - 1):
-        tried, fit = _reject_bent(current, views, camera, names, lenient)
+        tried, fit = reject_bent(current, views, camera, names, lenient)
         conflict = find_conflict(fit, [c for c, s in zip(captures, tried, strict=True) if not s.reason])
         if conflict is None:
             break
@@ -332,90 +307,13 @@ def _leave_out_other_cameras(
         n_left = sum(not s.reason for s in only)
         kept = len(others) == 1 and n_left >= 2 * MIN_VIEWS
         if kept:
-            tried, fit = _reject_bent(only, views, camera, names, options)
+            tried, fit = reject_bent(only, views, camera, names, rules)
             kept = not _describe_weak(fit, tried, names)
         warnings.append(describe_conflict(conflict, next(iter(others)) if kept else None))
         if not kept:
             break
         current, camera = only, fit.camera
     return current, warnings
-
-
-def _reject_bent(
-    state: Sequence[ViewState],
-    views: Sequence[TargetView],
-    camera: CameraModel,
-    names: tuple[str, ...],
-    options: CameraOptions,
-) -> tuple[list[ViewState], BundleFit]:
-    """As :func:`_reject`, with targets that are bent where the views show that they are."""
-    flat, flat_fit = _reject(state, views, camera, names, None, options)
-    if options.board == "flat":
-        return flat, flat_fit
-    bases = bend_bases([view.detection for view in views])
-    no_bend = np.zeros(bases[0].shape[1])
-    bent_start = [
-        replace(s, observation=replace(s.observation, bend_basis=basis, bend=no_bend))
-        for s, basis in zip(flat, bases, strict=True)
-    ]
-    bent, bent_fit = _reject(bent_start, views, flat_fit.camera, names, None, options)
-    _, sigma_px, _ = _uncertainty(bent_fit, bent)
-    return (bent, bent_fit) if is_bend_shown(bent_fit, sigma_px**2) else (flat, flat_fit)
-
-
-def _reject(
-    state: Sequence[ViewState],
-    views: Sequence[TargetView],
-    camera: CameraModel,
-    names: tuple[str, ...],
-    prior: Prior | None,
-    options: CameraOptions,
-) -> tuple[list[ViewState], BundleFit]:
-    """Leave out points and views far off the others, and fit by least squares, until nothing changes."""
-    current = list(state)
-    fit: BundleFit | None = None
-    for _ in range(_REJECTION_ROUNDS):
-        judged = judge_views(current, camera, options.outlier_sigma, options.view_outlier_ratio)
-        if fit is not None and same_selection(judged, current):
-            break
-        current = judged
-        _require_views(current, views)
-        with_bend = current[0].observation.bend is not None
-        fit = _refine(current, camera, names, prior, with_bend=with_bend)
-        camera, current = fit.camera, _assign_poses(current, fit.poses)
-        if with_bend:
-            current = [replace(s, observation=s.observation.with_bend(fit.bend)) for s in current]
-    assert fit is not None
-    return current, fit
-
-
-def _uncertainty(
-    fit: BundleFit, state: Sequence[ViewState], least_ratio: float = 1.0
-) -> tuple[Float[np.ndarray, " p"], float, float]:
-    """Standard deviations of the parameters, sigma of a coordinate (px), and the factor that the views' spread added.
-
-    The residuals say how large the noise is; leaving out each view in turn (one step) says what that noise, and anything
-    else, does to the parameters. Independent noise makes both agree within some 30 % for six views and more.
-    """
-    active = [s for s in state if not s.reason]
-    p = fit.information.shape[0]
-    squares = sum(
-        float(np.sum(reprojection_residuals(fit.camera, pose, s.observation)[s.observation.weights > 0] ** 2))
-        for pose, s in zip(fit.poses, active, strict=True)
-    )
-    n_values = sum(2 * int((s.observation.weights > 0).sum()) for s in active)
-    variance = squares / max(n_values - 6 * len(active) - p, 1)
-    cov = covariance_from_factor(fit.information, variance)
-    n_camera = p - len(fit.bend)
-    u = np.sqrt(np.diag(cov))[:n_camera]
-    ratio = 1.0
-    if len(active) >= 6:
-        changes = leave_one_out_changes(fit)
-        jackknife = np.sqrt((len(active) - 1) / len(active) * np.sum(np.square(changes), axis=0))[:n_camera]
-        ratio = float(np.median(jackknife / u))
-        ratio = ratio if ratio > _SPREAD_RATIO else 1.0
-    ratio = max(ratio, least_ratio)
-    return u * ratio, float(np.sqrt(variance)), ratio
 
 
 def _require_focal_length(camera: CameraModel, u_parameters: Float[np.ndarray, " p"]) -> None:

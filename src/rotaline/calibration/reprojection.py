@@ -48,6 +48,10 @@ class BoardObservation:
         """The same points on a board of another shape; None for a flat one."""
         return replace(self, bend=bend)
 
+    def with_offsets(self, offsets: Float[np.ndarray, "n 2"]) -> "BoardObservation":
+        """The same points, each shifted in x and y of the board by its offset, mm."""
+        return replace(self, points_board=self.points_board + np.pad(offsets, ((0, 0), (0, 1))))
+
     @property
     def points(self) -> Float[np.ndarray, "n 3"]:
         """The points where they are on the board, bent or flat, mm."""
@@ -153,6 +157,28 @@ def reprojection_residuals(
 ) -> Float[np.ndarray, "n 2"]:
     """Observed minus projected, px."""
     return np.asarray(observation.uv - camera.project(camera_from_board.apply(observation.points)))
+
+
+def linearise_view(
+    camera: CameraModel, camera_from_board: RigidTransform, observation: BoardObservation, names: Sequence[str]
+) -> tuple[Float[np.ndarray, "n 2 6"], Float[np.ndarray, "n 2 p"], Float[np.ndarray, "n 2"]]:
+    """Derivatives by pose and by camera, then by the bend where the observation has one, and the residuals; without weights."""
+    pose = _Pose(camera_from_board.rotation.as_matrix(), camera_from_board.translation)
+    return _derivatives(camera, pose, observation, names, observation.bend is not None)
+
+
+def move_pose(
+    camera_from_board: RigidTransform, points_board: Float[np.ndarray, "n 3"], step: Float[np.ndarray, "6"]
+) -> RigidTransform:
+    """The pose after the small motion of :func:`projection_jacobians`."""
+    pose = _Pose(camera_from_board.rotation.as_matrix(), camera_from_board.translation)
+    return pose.moved(points_board, step).as_transform()
+
+
+def upper_factor(matrix: Float[np.ndarray, "n q"]) -> Float[np.ndarray, "q q"]:
+    """Factor R of an orthogonal factorisation, square also where there are fewer rows than columns."""
+    factor = np.asarray(np.linalg.qr(matrix, mode="r"))
+    return np.pad(factor, ((0, matrix.shape[1] - len(factor)), (0, 0)))
 
 
 def refine_pose(
@@ -285,16 +311,23 @@ def _linearise(
     camera: CameraModel, pose: _Pose, observation: BoardObservation, names: Sequence[str], with_bend: bool
 ) -> _View:
     used: Bool[np.ndarray, " n"] = observation.weights > 0
-    uv, by_camera, by_pose = projection_jacobians(camera, pose.apply(observation.points), names)
-    if with_bend and observation.bend_basis is not None:
-        by_height = by_pose[:, :, 3:] @ pose.rotation[:, 2]
-        by_camera = np.concatenate([by_camera, by_height[:, :, None] * observation.bend_basis[:, None, :]], axis=2)
+    by_pose, by_camera, residuals = _derivatives(camera, pose, observation, names, with_bend)
     weights = observation.weights[used, None]
     return _View(
         (by_pose[used] * weights[:, :, None]).reshape(-1, 6),
         (by_camera[used] * weights[:, :, None]).reshape(2 * len(weights), by_camera.shape[2]),
-        ((observation.uv - uv)[used] * weights).ravel(),
+        (residuals[used] * weights).ravel(),
     )
+
+
+def _derivatives(
+    camera: CameraModel, pose: _Pose, observation: BoardObservation, names: Sequence[str], with_bend: bool
+) -> tuple[Float[np.ndarray, "n 2 6"], Float[np.ndarray, "n 2 p"], Float[np.ndarray, "n 2"]]:
+    uv, by_camera, by_pose = projection_jacobians(camera, pose.apply(observation.points), names)
+    if with_bend and observation.bend_basis is not None:
+        by_height = by_pose[:, :, 3:] @ pose.rotation[:, 2]
+        by_camera = np.concatenate([by_camera, by_height[:, :, None] * observation.bend_basis[:, None, :]], axis=2)
+    return by_pose, by_camera, observation.uv - uv
 
 
 def _count_bends(observations: Sequence[BoardObservation], with_bend: bool) -> int:

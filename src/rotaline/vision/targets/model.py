@@ -1,8 +1,8 @@
 """Calibration targets and what was detected of them.
 
-A target's points lie in its own frame ``board``: z = 0 (or near it, where the target is known to be bent), x along the columns, y along the rows, mm, (0, 0) at the first point,
+A target's points lie in its own frame ``board``: z = 0, x along the columns, y along the rows, mm, (0, 0) at the first point,
 seen from the front x right, y down (so z points away from the viewer). The order is row by row: point ``r * columns + c``
-stands at ``(c * pitch, r * pitch)``.
+stands at ``(c * pitch, r * pitch)``; near it where the target is known to be bent, or its points to be off.
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,9 @@ Bend = tuple[float, float, float]
 """Coefficients (mm) of the height of a bent target, see :func:`bend_basis`."""
 
 FLAT: Bend = (0.0, 0.0, 0.0)
+
+Offsets = tuple[tuple[float, float], ...]
+"""How far (mm, along x and y) each point of a target is off its place in the grid; empty for a target without errors."""
 
 
 def bend_basis(
@@ -44,11 +47,13 @@ def bend_basis(
     return np.asarray(curved - flat @ plane)
 
 
-def _grid(columns: int, rows: int, pitch: float, bend: Bend) -> Float[np.ndarray, "n 3"]:
+def _grid(columns: int, rows: int, pitch: float, bend: Bend, offsets: Offsets) -> Float[np.ndarray, "n 3"]:
     r, c = np.mgrid[0:rows, 0:columns]
     points = np.stack([c.ravel() * pitch, r.ravel() * pitch, np.zeros(rows * columns)], axis=1)
     if bend != FLAT:
         points[:, 2] = bend_basis((columns, rows), pitch, points[:, :2]) @ np.array(bend)
+    if offsets:
+        points[:, :2] += np.array(offsets)
     return points
 
 
@@ -59,6 +64,7 @@ class Checkerboard:
     inner_corners: tuple[int, int]
     pitch: float
     bend: Bend = FLAT
+    offsets: Offsets = ()
 
     @property
     def grid_size(self) -> tuple[int, int]:
@@ -67,7 +73,7 @@ class Checkerboard:
 
     def points_board(self) -> Float[np.ndarray, "n 3"]:
         """All inner corners, mm, in the ``board`` frame."""
-        return _grid(*self.inner_corners, self.pitch, self.bend)
+        return _grid(*self.inner_corners, self.pitch, self.bend, self.offsets)
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,7 @@ class DotGrid:
     pitch: float
     diameter: float | None = None
     bend: Bend = FLAT
+    offsets: Offsets = ()
 
     @property
     def grid_size(self) -> tuple[int, int]:
@@ -86,7 +93,7 @@ class DotGrid:
 
     def points_board(self) -> Float[np.ndarray, "n 3"]:
         """All dot centres, mm, in the ``board`` frame."""
-        return _grid(*self.dots, self.pitch, self.bend)
+        return _grid(*self.dots, self.pitch, self.bend, self.offsets)
 
 
 @dataclass(frozen=True)
@@ -98,6 +105,7 @@ class CharucoBoard:
     marker: float
     dictionary: str
     bend: Bend = FLAT
+    offsets: Offsets = ()
 
     @property
     def grid_size(self) -> tuple[int, int]:
@@ -106,7 +114,7 @@ class CharucoBoard:
 
     def points_board(self) -> Float[np.ndarray, "n 3"]:
         """All inner corners, mm, in the ``board`` frame."""
-        return _grid(*self.grid_size, self.pitch, self.bend)
+        return _grid(*self.grid_size, self.pitch, self.bend, self.offsets)
 
 
 Target = Checkerboard | DotGrid | CharucoBoard
