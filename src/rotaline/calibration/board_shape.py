@@ -76,7 +76,7 @@ def targets_as_found(
     return tuple(targets[k] for k in changed), tuple(found[k] for k in changed)
 
 
-def point_numbers(detections: Sequence[TargetDetection]) -> tuple[Int[np.ndarray, " n"], ...]:
+def point_numbers(detections: Sequence[TargetDetection]) -> tuple[Int[np.ndarray, "_"], ...]:
     """A number for each point of all targets together, for each row of each detection.
 
     It is -1 for targets that may be read from more than one side: which of their points is which, views do not tell.

@@ -73,7 +73,7 @@ def fit_print_offsets(
     camera: CameraModel,
     poses: Sequence[RigidTransform],
     observations: Sequence[BoardObservation],
-    point_numbers: Sequence[Int[np.ndarray, " n"]],
+    point_numbers: Sequence[Int[np.ndarray, "_"]],
     names: Sequence[str],
     prior: Prior | None = None,
 ) -> OffsetFit | None:
@@ -167,7 +167,7 @@ def _linearise(
     camera: CameraModel,
     poses: Sequence[RigidTransform],
     boards: Sequence[BoardObservation],
-    point_numbers: Sequence[Int[np.ndarray, " n"]],
+    point_numbers: Sequence[Int[np.ndarray, "_"]],
     names: Sequence[str],
     offsets: Float[np.ndarray, "k 2"],
     prior: Prior | None,

@@ -121,7 +121,7 @@ def _reject_with_offsets(
     state: Sequence[ViewState],
     camera: CameraModel,
     views: Sequence[TargetView],
-    numbers: Sequence[Int[np.ndarray, " n"]],
+    numbers: Sequence[Int[np.ndarray, "_"]],
     names: tuple[str, ...],
     prior: Prior | None,
     rules: Rules,
