@@ -12,7 +12,7 @@ from rotaline.calibration.model import TargetView
 from rotaline.errors import CalibrationError
 from rotaline.simulation.ideal.observations import observe_target, random_board_poses
 from rotaline.vision.camera import CameraModel
-from rotaline.vision.targets.model import Checkerboard, DotGrid, Target
+from rotaline.vision.targets.model import Checkerboard, DotGrid, Target, TargetDetection
 
 CAMERA = CameraModel((1280, 960), 2400.0, 2390.0, 645.0, 482.0, -0.11, 0.09, 0.0006, -0.0004)
 TARGET = Checkerboard((11, 9), 6.0)
@@ -203,6 +203,63 @@ def test_a_bent_target_is_found_out() -> None:
     assert np.abs(found.points_board[:, 2] - height).max() < 0.02 * np.ptp(height)
     assert np.abs(flat.u_parameters[0] / result.u_parameters[0]) > 2
     assert flat.with_target_as_found(views[0].detection) is views[0].detection
+
+
+def printed_views(target: Target, offset_mm: float, n: int) -> list[TargetView]:
+    """Views of a bowed print whose points are off by ``offset_mm``, taken for exact by who detects it."""
+    rng = np.random.default_rng(11)
+    points = replace(target, bend=(0.05, 0.0, 0.05)).points_board()
+    points[:, :2] += offset_mm * rng.standard_normal((len(points), 2))
+    views = []
+    for k, pose in enumerate(random_board_poses(CAMERA, target, n, rng, spread=0.3)):
+        uv = CAMERA.project(pose.apply(points)) + 0.02 * rng.standard_normal((len(points), 2))
+        views.append(TargetView(f"v{k}", TargetDetection(target, np.arange(len(points)), uv, 0.02)))
+    return views
+
+
+def error_of_rays_px(camera: CameraModel) -> float:
+    """RMS distance of the images of a grid of directions."""
+    x, y = np.meshgrid(np.linspace(-0.25, 0.25, 9), np.linspace(-0.18, 0.18, 7))
+    rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
+    return float(np.sqrt(np.mean(np.sum((camera.project(rays) - CAMERA.project(rays)) ** 2, axis=1))))
+
+
+@pytest.mark.parametrize("n", [5, 15])
+def test_a_bad_print_gives_a_good_camera(n: int) -> None:
+    """The camera is better than with the stated target, the points are known, and the user is told; few views or many."""
+    target = Checkerboard((10, 7), 6.0)
+    views = printed_views(target, 0.02, n)
+    result = calibrate_camera(views, CAMERA.image_size)
+    stated = calibrate_camera(views, CAMERA.image_size, CameraOptions(board="flat"))
+    assert any("off their places by 0.0" in text for text in result.warnings)
+    assert result.rms_px == pytest.approx(0.02 * np.sqrt(2), rel=0.25)
+    assert error_of_rays_px(result.camera) < error_of_rays_px(stated.camera) / 3
+    for name, u in zip(result.parameter_names, result.u_parameters, strict=True):
+        assert abs(getattr(result.camera, name) - getattr(CAMERA, name)) < 4 * u
+    assert np.shape(result.with_target_as_found(views[0].detection).target.offsets) == (70, 2)
+    assert stated.targets == ()
+    assert not any("off their places" in text for text in stated.warnings)
+
+
+def test_a_bend_is_not_taken_for_offsets() -> None:
+    """A bowed plate with an exact print has its bend, and no offsets."""
+    result = calibrate_camera(printed_views(Checkerboard((10, 7), 6.0), 0.0, 12), CAMERA.image_size)
+    assert [target.offsets for target in result.targets] == [()]
+
+
+def test_points_of_a_symmetric_target_are_taken_as_stated() -> None:
+    """Which of its points is which, no view tells."""
+    result = calibrate_camera(printed_views(Checkerboard((8, 6), 6.0), 0.02, 10), CAMERA.image_size)
+    assert all(target.offsets == () for target in result.targets)
+
+
+def test_outliers_are_found_among_the_points_of_a_bad_print() -> None:
+    """A point of one view that is off by less than the print's errors, and by far more than the noise."""
+    views = printed_views(Checkerboard((10, 7), 6.0), 0.05, 12)
+    views[3].detection.uv[25] += [0.4, 0.0]
+    result = calibrate_camera(views, CAMERA.image_size)
+    assert np.flatnonzero(np.isnan(result.views[3].residuals_px[:, 0])).tolist() == [25]
+    assert all(view.used for view in result.views)
 
 
 def test_a_target_that_changes_its_shape_enlarges_the_standard_deviations() -> None:
