@@ -128,7 +128,7 @@ def _calibration_errors(
                 f"the calibration is for images of {camera.image_size} px, the truth for {truth.camera.image_size}. "
                 "They belong to different sessions; name the right truth with --truth FILE."
             )
-        rotation, rays_px = _best_rotation(camera, truth.camera)
+        rotation, rays_px = best_rotation(camera, truth.camera)
         plane = None if plane is None else Plane(rotation.apply(plane.normal), plane.offset)
         axis, initial = (None if line is None else _rotated(line, rotation) for line in (axis, initial))
         errors = dataclasses.replace(
@@ -171,8 +171,11 @@ def _angle_urad(a: np.ndarray, b: np.ndarray) -> float:
     return float(1e6 * np.arctan2(np.linalg.norm(np.cross(a, b)), abs(a @ b)))
 
 
-def _best_rotation(camera: CameraModel, true: CameraModel) -> tuple[Rotation, float]:
-    """The rotation that brings the calibrated viewing rays closest to the true ones, and what is left, RMS, px."""
+def best_rotation(camera: CameraModel, true: CameraModel) -> tuple[Rotation, float]:
+    """The rotation that brings the calibrated viewing rays closest to the true ones, and what is left, RMS, px.
+
+    A wrong principal point turns the camera frame; no image tells. So this comes before any comparison in that frame.
+    """
     width, height = true.image_size
     u, v = np.meshgrid(np.linspace(0.0, width - 1.0, 13), np.linspace(0.0, height - 1.0, 10))
     uv = np.column_stack([u.ravel(), v.ravel()])

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from rotaline.calibration.model import SystemCalibration
 from rotaline.errors import GeometryError
 from rotaline.io.report.reproduction import ComplexPartResult, ComplexPartsSection, DetailResult
+from rotaline.pipeline.compare_truth import best_rotation
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.parts import make_cloud, place_on_table, system_at_optical_axis
 from rotaline.pipeline.reproduce.plan import COMPLEX_TITLES
@@ -100,7 +101,8 @@ def _judge(
     photo: UInt8[np.ndarray, "h w 3"],
 ) -> ComplexPartResult:
     # what was measured in the calibrated frame, brought into the true one through the camera
-    true_from_measured = rig.camera_from_base.inv() * system.base_from_camera.inv()
+    true_from_calibrated = RigidTransform.from_rotation(best_rotation(system.camera, rig.camera)[0])
+    true_from_measured = rig.camera_from_base.inv() * true_from_calibrated * system.base_from_camera.inv()
     part_from_measured = standing.inv() * true_from_measured
     try:
         surface = reconstruct_surface(cloud, options.surface)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rotaline.calibration.model import LaserPlaneCalibration, SystemCalibration
 from rotaline.errors import CalibrationError
@@ -17,6 +18,7 @@ from rotaline.io.report.reproduction import (
     TableRow,
 )
 from rotaline.pipeline.calibrate import CalibrationParts
+from rotaline.pipeline.compare_truth import best_rotation
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.reproduce.article import (
     ARTICLE_OPTIONS,
@@ -82,17 +84,25 @@ def system_of(parts: CalibrationParts, initial: bool = False) -> SystemCalibrati
     return system
 
 
-def axis_error_mm(axis_camera: Line, rig: Rig) -> float:
+def to_true_camera(parts: CalibrationParts, rig: Rig) -> Rotation:
+    """The rotation from the calibrated camera frame to the true one; see :func:`rotaline.pipeline.compare_truth.best_rotation`."""
+    assert parts.camera is not None
+    return best_rotation(parts.camera.camera, rig.camera)[0]
+
+
+def axis_error_mm(parts: CalibrationParts, axis_camera: Line, rig: Rig) -> float:
     """Distance of an axis from the true one, mm: the larger at the bottom and at the top of the stepped cylinder."""
-    true = rig.rotation_axis_camera
+    true, turn = rig.rotation_axis_camera, to_true_camera(parts, rig)
+    axis_camera = Line(turn.apply(axis_camera.point), turn.apply(axis_camera.direction))
     heights = np.array([0.0, STEPPED_CYLINDER.height_small + STEPPED_CYLINDER.height_large])
     return float(axis_camera.distance_to(true.point + heights[:, None] * true.direction).max())
 
 
-def plane_error_mm(plane_camera: Plane, calibration: LaserPlaneCalibration, rig: Rig) -> float:
+def plane_error_mm(parts: CalibrationParts, plane_camera: Plane, calibration: LaserPlaneCalibration, rig: Rig) -> float:
     """RMS distance of a laser plane from the true one where the stripes of the calibration lie, mm."""
     points = np.concatenate([view.points_camera for view in calibration.views if view.used])
     on_plane = points - plane_camera.signed_distance_to(points)[:, None] * plane_camera.normal
+    on_plane = to_true_camera(parts, rig).apply(on_plane)
     return float(np.sqrt(np.mean(rig.laser_plane_camera.signed_distance_to(on_plane) ** 2)))
 
 
@@ -112,7 +122,10 @@ def sensor_section(bench: Workbench, rig: Rig) -> SensorSection:
     ratios = [parts.cross_ratio for parts in ours if parts.cross_ratio is not None]
     before, after = INTERVAL_RMSE_MM
     truly = [
-        [plane_error_mm(getattr(ratio, name), plane, rig) for ratio, plane in zip(ratios, planes, strict=True)]
+        [
+            plane_error_mm(found, getattr(ratio, name), plane, rig)
+            for found, ratio, plane in zip(ours, ratios, planes, strict=True)
+        ]
         for name in ("plane_before_camera", "plane_camera")
     ]
     figures = (
@@ -140,13 +153,16 @@ def initial_axis_section(bench: Workbench, rig: Rig, found: Calibrations) -> Ini
     for name, article, initial in zip(mount_names(), found.article, found.initial, strict=True):
         assert article.axis is not None
         assert initial.axis is not None
-        pair = (article.axis, initial.axis)
+        pair = ((article, article.axis), (initial, initial.axis))
         true = rig.rotation_axis_camera.direction
-        tilts = [float(1e3 * np.arccos(min(float(a.axis_camera.direction @ true), 1.0))) for a in pair]
+        directions = [to_true_camera(p, rig).apply(a.axis_camera.direction) for p, a in pair]
+        tilts = [float(1e3 * np.linalg.norm(np.cross(direction, true))) for direction in directions]
         cells = (
-            plain_figure("distance from the true axis", "mm", None, *(axis_error_mm(a.axis_camera, rig) for a in pair)),
+            plain_figure(
+                "distance from the true axis", "mm", None, *(axis_error_mm(p, a.axis_camera, rig) for p, a in pair)
+            ),
             plain_figure("angle to the true axis", "mrad", None, *tilts, digits=3),
-            plain_figure("corners off their circles, RMS", "mm", None, *(a.rms_mm for a in pair)),
+            plain_figure("corners off their circles, RMS", "mm", None, *(a.rms_mm for _, a in pair)),
         )
         rows.append(TableRow(name, cells))
     columns = tuple(f"{c.quantity} / {c.unit}" for c in rows[0].cells)
@@ -207,7 +223,10 @@ def mounts_section(bench: Workbench, rig: Rig, found: Calibrations) -> MountsSec
         alone, ours = article.artifact, together.mounts[k]
         assert alone is not None
         assert article.axis is not None
-        errors = axis_error_mm(article.axis.axis_camera, rig), axis_error_mm(alone.axis_camera, rig)
+        errors = (
+            axis_error_mm(article, article.axis.axis_camera, rig),
+            axis_error_mm(article, alone.axis_camera, rig),
+        )
         mounts.append(MountResult(name, alone, *errors))
         target = MEAN_DISTANCE_MM[0] if k == 0 else MEAN_DISTANCE_MM[1]
         cells = (
@@ -217,7 +236,11 @@ def mounts_section(bench: Workbench, rig: Rig, found: Calibrations) -> MountsSec
             error_figure("mean distance after", "mm", target, alone.mean_distance_mm, ours.mean_distance_mm),
             plain_figure("eccentricity", "mm", None, alone.mounts[0].eccentricity_mm, ours.eccentricity_mm, digits=2),
             plain_figure(
-                "distance from the true axis", "mm", None, errors[1], axis_error_mm(together.axis_camera, rig)
+                "distance from the true axis",
+                "mm",
+                None,
+                errors[1],
+                axis_error_mm(found.together, together.axis_camera, rig),
             ),
         )
         rows.append(TableRow(name, cells))
@@ -234,5 +257,10 @@ def mounts_section(bench: Workbench, rig: Rig, found: Calibrations) -> MountsSec
     )
     frames = bench.overlays(f"stepped-{mount_names()[0]}", ARTICLE_OPTIONS)
     return MountsSection(
-        table, STEPPED_CYLINDER, tuple(mounts), together, axis_error_mm(together.axis_camera, rig), frames
+        table,
+        STEPPED_CYLINDER,
+        tuple(mounts),
+        together,
+        axis_error_mm(found.together, together.axis_camera, rig),
+        frames,
     )

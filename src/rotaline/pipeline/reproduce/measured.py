@@ -161,7 +161,7 @@ def parts_section(bench: Workbench, found: Calibrations) -> PartsSection:
     tables, firsts, clouds = [], [], {}
     for part, table in zip(PARTS, PART_TABLES, strict=True):
         reference = {part.key: table.reference_mm}
-        rows = []
+        rows, failures = [], []
         for k in range(N_MOUNTS):
             capture = f"{part.name}-{k + 1}"
             pair = (
@@ -170,19 +170,22 @@ def parts_section(bench: Workbench, found: Calibrations) -> PartsSection:
             )
             values = [e.measurement.value[part.key] if e.measurement else None for e in pair]
             rows.append(TableRow(str(k + 1), _part_cells(table, k, values)))
+            failures += [f"Position {k + 1}: {e.failure}" for e in pair if e.measurement is None]
             if k == 0 and pair[1].measurement is not None:
                 firsts.append(pair[1])
                 clouds[capture] = bench.cloud(capture, ours, Options())
         columns = tuple(f"{c.quantity} / {c.unit}" for c in rows[0].cells)
         rows.append(TableRow("Average", tuple(average([r.cells[i] for r in rows]) for i in range(len(columns)))))
-        tables.append(ComparisonTable(table.place, table.title, columns, tuple(rows), _part_text(part, table)))
+        tables.append(
+            ComparisonTable(table.place, table.title, columns, tuple(rows), _part_text(part, table, failures))
+        )
     return PartsSection(tuple(tables), tuple(firsts), fitted_points(firsts, clouds))
 
 
-def _part_text(part: Part, table: PartTable) -> str:
+def _part_text(part: Part, table: PartTable, failures: Sequence[str]) -> str:
     return (
         f"{table.reference_mm:.3f} mm is the true {part.key}. Errors without sign. By the article's method with the axis of W1, by the default "
-        "method with the axis of all mounts."
+        "method with the axis of all mounts." + "".join(f" {text}" for text in dict.fromkeys(failures))
     )
 
 

@@ -1,6 +1,7 @@
 """Pictures of the budget: which error of the rig does what."""
 
 import math
+import textwrap
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,7 +21,7 @@ def responses(budget: Budget) -> Figure:
     """
     keys = [k for k in budget.article if k in budget.titles]
     n_rows = -(-max(1, len(budget.sources)) // _PER_ROW)
-    figure = style.new_figure(style.FULL_INCH, 0.7 + 2.05 * n_rows)
+    figure = style.new_figure(style.FULL_INCH, 0.7 + 2.2 * n_rows)
     axes = figure.subplots(n_rows, _PER_ROW, squeeze=False, sharey=True).ravel()
     for ax, source in zip(axes, budget.sources, strict=False):
         _response(ax, budget, source, keys)
@@ -50,7 +51,7 @@ def _response(ax: Axes, budget: Budget, source: BudgetSource, keys: list[str]) -
         meets = source.reproducing.get(key)
         if meets is not None:
             ax.plot(meets, article * 1e3, "o", color=colour, markersize=9, markerfacecolor="none", markeredgewidth=1.6)
-    style.style_axes(ax, source.title, f"[{source.unit}]" if source.unit else "")
+    style.style_axes(ax, textwrap.fill(source.title, 28), f"[{source.unit}]" if source.unit else "")
 
 
 def matrix(budget: Budget) -> Figure:
@@ -69,7 +70,7 @@ def matrix(budget: Budget) -> Figure:
             largest = max(source.levels, key=lambda level: abs(level.setting))
             rows.append(largest.figures)
             names.append(f"{source.title}, {largest.setting:g} {source.unit}".rstrip())
-    figure = style.new_figure(style.FULL_INCH, 0.7 + 0.27 * max(1, len(rows)))
+    figure = style.new_figure(style.FULL_INCH, 0.9 + 0.27 * max(1, len(rows)))
     ax = figure.add_subplot()
     values = np.array([[r.get(k, math.nan) for k in keys] for r in rows], dtype=float).reshape(len(rows), len(keys))
     values = np.abs(values) * 1e3
@@ -86,19 +87,11 @@ def matrix(budget: Budget) -> Figure:
             ax.text(j, i, f"{value:.3g}", ha="center", va="center", fontsize=7.5, color=colour)
         else:
             ax.text(j, i, "–", ha="center", va="center", fontsize=7.5, color=style.GREY)
-    ax.set_xticks(range(len(keys)), [_two_lines(budget.titles[k]) for k in keys])
+    ax.set_xticks(range(len(keys)), [textwrap.fill(budget.titles[k], 15) for k in keys])
     ax.set_yticks(range(len(names)), names)
     ax.xaxis.tick_top()
     style.style_axes(ax, "", "", "", grid=False)
     ax.spines[:].set_visible(False)
     ax.tick_params(length=0)
+    ax.tick_params(axis="x", labelsize=7.5)
     return figure
-
-
-def _two_lines(title: str) -> str:
-    """A title broken at the space nearest to its middle."""
-    spaces = [i for i, letter in enumerate(title) if letter == " "]
-    if len(title) < 14 or not spaces:
-        return title
-    at = min(spaces, key=lambda i: abs(i - len(title) / 2))
-    return f"{title[:at]}\n{title[at + 1 :]}"

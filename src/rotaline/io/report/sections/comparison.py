@@ -144,7 +144,6 @@ def reproducing_table(budget: Budget) -> Table:
             Column(budget.titles[k], f"{numbers.um(budget.article[k])} µm", group="alone gives the article's")
             for k in keys
         ),
-        Column("Remark", numeric=False),
     )
     rows = []
     for source in budget.sources:
@@ -156,7 +155,6 @@ def reproducing_table(budget: Budget) -> Table:
                     f"{min(settings):g} to {max(settings):g} {source.unit}".rstrip() if settings else numbers.MISSING,
                     "images" if source.from_images else "observations",
                     *(_reproducing(source, k) for k in keys),
-                    source.text,
                 )
             )
         )
