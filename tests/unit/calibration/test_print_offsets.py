@@ -74,6 +74,9 @@ def test_points_that_keep_to_their_place_have_no_offset() -> None:
     assert fit is not None
     assert fit.offsets.shape == (20, 2)
     assert np.array_equal(fit.of_rows(ids), np.vstack([fit.offsets, np.zeros((20, 2))]))
+    one = fit_print_offsets(CAMERA, poses, observations, [np.where(IDS == 39, -1, IDS)] * len(poses), NAMES)
+    assert one is not None
+    assert one.sigma_px > 1.3 * 0.02  # what is left there counts as noise
     none = np.full(len(IDS), -1)
     assert fit_print_offsets(CAMERA, poses, observations, [none] * len(poses), NAMES) is None
 
