@@ -272,7 +272,7 @@ def test_a_preset_may_be_based_on_another():
     assert edited.tables.camera == demo.tables.camera.model_copy(update={"roll_deg": 3.0})
     points = np.array([[10.0, -5.0, 20.0], [-20.0, 15.0, 40.0]])
     seen = [r.camera.project(r.camera_from_base.apply(points)) for r in (article.rig(), demo.rig())]
-    np.testing.assert_allclose(seen[1], (seen[0] + 0.5) * 0.75 - 0.5, atol=1e-6)
+    np.testing.assert_allclose(seen[1], (seen[0] + 0.5) * 0.625 - 0.5, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", [name for name in PRESETS if name != "demo"])
