@@ -74,11 +74,22 @@ def test_points_that_keep_to_their_place_have_no_offset() -> None:
     assert fit is not None
     assert fit.offsets.shape == (20, 2)
     assert np.array_equal(fit.of_rows(ids), np.vstack([fit.offsets, np.zeros((20, 2))]))
-    one = fit_print_offsets(CAMERA, poses, observations, [np.where(IDS == 39, -1, IDS)] * len(poses), NAMES)
-    assert one is not None
-    assert one.sigma_px > 1.3 * 0.02  # what is left there counts as noise
     none = np.full(len(IDS), -1)
     assert fit_print_offsets(CAMERA, poses, observations, [none] * len(poses), NAMES) is None
+
+
+def test_what_fixed_points_are_off_counts_as_noise() -> None:
+    """Five points keep to their places: four that are exact, and one that is off by 0.1 mm."""
+    poses, observations, true = printed(3, 0.03, 0.02)
+    fixed = np.isin(IDS, [0, 7, 20, 32, 39])
+    ids = np.where(fixed, -1, IDS)
+    exact = [o.with_offsets(np.where(fixed[:, None], true, 0.0)) for o in observations]
+    off = [o.with_offsets(np.where(IDS[:, None] == 39, [0.1, 0.0], 0.0)) for o in exact]
+    fit, wrong = (fit_print_offsets(CAMERA, poses, seen, [ids] * len(poses), NAMES) for seen in (exact, off))
+    assert fit is not None
+    assert wrong is not None
+    assert fit.sigma_px == pytest.approx(0.02, rel=0.2)
+    assert wrong.sigma_px > 1.5 * 0.02
 
 
 def test_a_point_that_was_never_used_keeps_to_its_place() -> None:
