@@ -13,6 +13,7 @@ from rotaline.vision.targets.model import CharucoBoard, DotGrid, Target
 
 _CORNER_REACH_PX = 18.0  # half a window; farther out a corner's edges add little and cost time
 _EDGE_REACH_PX = 4.5  # half the width of the band along an edge that tells where it is
+_LEAST_EDGE_REACH_PX = 2.0
 _LARGEST_WINDOW_PX = 26.0  # dots that are larger are measured in a reduced image
 LEAST = 0.6  # part of a grid's points that must be found
 _OUTLIER_FLOOR_PX = 0.05
@@ -181,9 +182,16 @@ def _refine(
     if dot_radius is None:
         reach, edge_reach = 0.45 * target.pitch, _EDGE_REACH_PX * (2 if first else 1)
         if isinstance(target, CharucoBoard):  # up to the cells of the markers, past their black rim
-            symmetric = (target.pitch - target.marker) / 2 + 0.1 * target.marker
+            gap = (target.pitch - target.marker) / 2
+            symmetric = gap + 0.1 * target.marker
             reach = symmetric if first else reach
-            edge_reach = min(edge_reach, symmetric * float(np.median(px_per_mm)))
+            gap_px = gap * float(np.median(px_per_mm))
+            # a marker's blurred rim on one side only would pull the edge away from it
+            edge_reach = (
+                min(edge_reach, symmetric / gap * gap_px)
+                if first
+                else max(min(edge_reach, gap_px / 2), _LEAST_EDGE_REACH_PX)
+            )
         reaches = np.minimum(reach, _CORNER_REACH_PX / (2 if first else 1) / px_per_mm)
         half, bent = jacobian * reaches[:, None, None], bend * (reaches**2)[:, None, None, None]
         centres = refine_centres(image, start, half, bent, "corner", edge_reach_px=edge_reach, max_steps=max_steps)
