@@ -4,7 +4,7 @@ from pathlib import Path
 
 from rotaline.io.rig_file import RigFile
 from rotaline.pipeline.observer import Observer
-from rotaline.simulation.checks import require_scene
+from rotaline.simulation.checks import require_rig, require_scene
 from rotaline.simulation.session import unfinished, write_session
 
 
@@ -26,7 +26,9 @@ def simulate(file: RigFile, out: Path, observer: Observer, *, seed: int | None =
     OutputError
         If the folder exists, or cannot be written.
     """
-    rig, plan = file.rig(), file.plan(seed)
+    rig = file.rig()
+    require_rig(rig)
+    plan = file.plan(seed)
     left = unfinished(out, rig, plan)
     shapes = {id(placed.shape): placed.shape for c in plan.captures for placed in c.shots[0].on_table}
     for note in (note for shape in shapes.values() for note in getattr(shape, "notes", ())):

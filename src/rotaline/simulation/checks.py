@@ -64,10 +64,24 @@ def require_scene(rig: Rig, plan: SessionPlan) -> tuple[SceneProblem, ...]:
         If there are errors: all of them, a line each.
     """
     problems = check_scene(rig, plan)
-    errors = [str(p) for p in problems if p.severity == "error"]
-    if errors:
-        raise RigError("\n".join(errors))
+    _raise_errors(problems)
     return problems
+
+
+def require_rig(rig: Rig) -> None:
+    """Refuse a rig that can see no stripe whatever it records: no plan can be made for it.
+
+    Raises
+    ------
+    RigError
+        If there are errors: all of them, a line each.
+    """
+    _raise_errors(_check_rig(rig))
+
+
+def _raise_errors(problems: Sequence[SceneProblem]) -> None:
+    if errors := [str(p) for p in problems if p.severity == "error"]:
+        raise RigError("\n".join(errors))
 
 
 def _camera_base(rig: Rig) -> Float[np.ndarray, "3"]:
@@ -85,12 +99,11 @@ def _check_rig(rig: Rig) -> list[SceneProblem]:
     axis_base = np.column_stack([np.zeros((26, 2)), np.linspace(0.0, 50.0, 26)])
     axis_camera = rig.camera_from_base.apply(axis_base)
     if not np.any(in_image(rig.camera, axis_camera)):
-        width, height = rig.camera.image_size
-        u, v = rig.camera.project(axis_camera[:1])[0]
+        off_deg = np.degrees(np.arctan2(np.linalg.norm(axis_camera[0, :2]), axis_camera[0, 2]))
         text = (
             f"lies {-axis_camera[0, 2]:.0f} mm behind the camera"
             if axis_camera[0, 2] <= 0
-            else f"would be at pixel ({u:.0f}, {v:.0f}), outside the image of {width} x {height}"
+            else f"lies {off_deg:.0f} deg from the optical axis"
         )
         problems.append(
             SceneProblem(
