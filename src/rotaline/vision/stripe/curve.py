@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -45,10 +46,14 @@ class Chains:
         return (total[high + 1] - total[low]) / (high + 1 - low)
 
     def window_median(self, values: Float[np.ndarray, " n"], half_window: int) -> Float[np.ndarray, " n"]:
-        """Median of a value over the neighbours of each point in its chain; the ends are repeated."""
+        """Median of a value over the neighbours of each point in its chain.
+
+        The ends are repeated; in a chain no longer than ``half_window`` they would outvote the rest, and it is mirrored.
+        """
         out = np.empty(len(self))
         for a, b in self.spans():
-            out[a:b] = median_filter(values[a:b], size=2 * half_window + 1, mode="nearest")
+            mode: Literal["reflect", "nearest"] = "reflect" if b - a <= half_window else "nearest"
+            out[a:b] = median_filter(values[a:b], size=2 * half_window + 1, mode=mode)
         return out
 
 

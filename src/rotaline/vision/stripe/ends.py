@@ -8,6 +8,7 @@ from rotaline.vision.stripe.curve import Chains
 
 _REFERENCE = 12  # points that say how the piece goes on
 _MOST = 6  # points taken from an end
+LEAST_CHECKED = _MOST + _REFERENCE  # points of a piece whose ends can be checked
 
 
 def sound_ends(chains: Chains, width_px: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
@@ -19,7 +20,7 @@ def sound_ends(chains: Chains, width_px: Float[np.ndarray, " n"]) -> Bool[np.nda
     """
     keep = np.ones(len(chains), dtype=bool)
     for start, stop in chains.spans():
-        if stop - start < _MOST + _REFERENCE:
+        if stop - start < LEAST_CHECKED:
             continue
         for order in (np.arange(start, stop), np.arange(start, stop)[::-1]):
             end, reference = order[:_MOST], order[_MOST : _MOST + _REFERENCE]

@@ -12,11 +12,12 @@ from rotaline.vision.stripe.centres import Centres, fit_gaussian, weighted_centr
 from rotaline.vision.stripe.curve import Chains, break_chains
 from rotaline.vision.stripe.ends import average_along, sound_ends
 from rotaline.vision.stripe.model import StripePoints
+from rotaline.vision.stripe.pieces import brightest, doubtful_ends, long_enough, of_one_width
 from rotaline.vision.stripe.profiles import Profiles, pixel_strips
 from rotaline.vision.stripe.rows import cross_rows, flat_centroid
 from rotaline.vision.stripe.signal import find_stripe, measuring_plane, split_frame
 from rotaline.vision.stripe.steger import steger_centres
-from rotaline.vision.stripe.trace import Trace, alike, trace_ridges
+from rotaline.vision.stripe.trace import SHORTEST, Trace, alike, trace_ridges
 from rotaline.vision.stripe.uncertainty import pixel_noise, scatter_and_floor
 
 Method = Literal["gray-gravity", "improved-gray-gravity", "steger", "profile-fit"]
@@ -27,7 +28,6 @@ _WINDOWS = (1.0, 2.0)  # widths of the stripe
 _WIDER = 1.05  # a wider window, which minds the shape of the profile less, may cost so much scatter
 _REACH = 3.5  # widths of the window
 _WIDTH_PASSES = 2
-_WIDTH_RATIO = 2.2
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,10 @@ class StripeOptions:
             "help": "all: every line; brightest: of several lines in a row (column) of the image only the strongest"
         },
     )
-    min_length_px: float = field(default=10.0, metadata={"help": "shorter pieces of stripe are dropped, px"})
+    min_length_px: float = field(
+        default=10.0,
+        metadata={"help": "shorter pieces of stripe are dropped, px; pieces close together and alike count as one"},
+    )
 
 
 def extract_stripe(
@@ -91,14 +94,16 @@ def extract_stripe(
     )
     if not ridges:
         return _empty()
+    least = max(SHORTEST, int(options.min_length_px)) if crowded else SHORTEST
     k = measuring_plane(frame, options.channel, ridges)
-    trace = trace_ridges(ridges, frame.planes[k], frame.clipped[k], options.min_length_px)
+    trace = trace_ridges(ridges, frame.planes[k], frame.clipped[k], least)
     if trace is None:
         return _empty()
-    points = _measure(trace, frame.planes[k], frame.clipped[k], frame.unit, options)
-    if crowded:
-        points = _of_one_width(points)
-    return points if options.keep == "all" else _brightest(points)
+    points = _measure(trace, frame.planes[k], frame.clipped[k], frame.unit, least, options)
+    points = doubtful_ends(long_enough(points, options.min_length_px))
+    if crowded or frame.lit:
+        points = of_one_width(points)
+    return points if options.keep == "all" else brightest(points)
 
 
 def _measure(
@@ -106,9 +111,10 @@ def _measure(
     image: Float32[np.ndarray, "h w"],
     clipped: Bool[np.ndarray, "h w"] | None,
     unit: float,
+    least: int,
     options: StripeOptions,
 ) -> StripePoints:
-    """Centres and uncertainties by the chosen method."""
+    """Centres and uncertainties by the chosen method, of pieces of ``least`` points or more."""
     normal = trace.normal
     if options.method == "gray-gravity":
         trace, normal = cross_rows(trace, image, clipped)
@@ -142,7 +148,6 @@ def _measure(
     shift = np.where(good, centres.shift_px, 0.0)
     moved = Chains(trace.chains.uv + trace.normal * shift[:, None], trace.chains.chain)
     tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
-    least = max(4, int(options.min_length_px))
     chains, kept = break_chains(moved, tangent, good, least)
     index = np.flatnonzero(kept)
     sound = sound_ends(chains, centres.width_px[index])
@@ -247,37 +252,6 @@ def _inside(trace: Trace, image: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray,
     reach = trace.normal * 2.0 * trace.width_px[:, None]
     ends = np.stack([trace.chains.uv - reach, trace.chains.uv + reach])
     return np.asarray(((ends >= 0.0) & (ends <= top)).all(axis=(0, 2)))
-
-
-def _of_one_width(points: StripePoints) -> StripePoints:
-    """Without the segments that are much wider or narrower than most of the stripe: other things in the scene."""
-    if len(points) == 0:
-        return points
-    count = np.bincount(points.segment)
-    width = np.array([np.median(points.width_px[points.segment == k]) for k in range(len(count))])
-    order = np.argsort(width)
-    usual = width[order][np.searchsorted(np.cumsum(count[order]), 0.5 * count.sum())]
-    fits = (width > usual / _WIDTH_RATIO) & (width < usual * _WIDTH_RATIO)
-    return _renumber(points.select(fits[points.segment]))
-
-
-def _renumber(points: StripePoints) -> StripePoints:
-    """Segments numbered from 0 without gaps."""
-    _, segment = np.unique(points.segment, return_inverse=True)
-    return replace(points, segment=segment.astype(np.int64))
-
-
-def _brightest(points: StripePoints) -> StripePoints:
-    """Of the points in one row (one column, where the stripe is flat) those of the strongest segment."""
-    if len(points) == 0:
-        return points
-    light = points.intensity * points.width_px
-    strength = np.bincount(points.segment, weights=light) / np.bincount(points.segment)
-    steep = np.sum(light * (np.abs(points.normal[:, 0]) - np.abs(points.normal[:, 1]))) > 0
-    line = np.rint(points.uv[:, 1 if steep else 0]).astype(np.int64)
-    best = np.zeros(line.max() - min(line.min(), 0) + 1)
-    np.maximum.at(best, line, strength[points.segment])
-    return _renumber(points.select(strength[points.segment] >= best[line]))
 
 
 def _empty() -> StripePoints:

@@ -5,7 +5,8 @@ of a *steep* chain if it is the highest of its row within three pixels and stand
 right; of a *flat* chain if the same holds in its column. Candidates of neighbouring rows (columns) are linked where each is
 the other's nearest. A stripe of any direction is steep or flat (near 45 deg it is both); the chains compete for the pixels
 they cover, the one with the largest sum of prominence first, so that no part of the stripe is found twice. The sum of
-prominence also settles the size: it is largest where the smoothing suits the stripe's width.
+prominence also settles the size: it is largest where the smoothing suits the stripe's width. A row of short pieces is one long
+chain in a smaller image; it stands back where the pieces themselves are clearly stronger together.
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from scipy.sparse.csgraph import connected_components
 _REACH = 3  # px of the level: a ridge must fall off over this distance
 _LEVELS = 3
 _MAX_CHAINS = 400
+_SHORTEST = 4  # points of a chain
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +40,13 @@ class Ridge:
     steep: bool
     scale_px: float
 
+    @property
+    def strength(self) -> float:
+        """Sum of prominence along the ridge, grey values x px."""
+        return float(self.prominence.sum()) * self.scale_px
 
-def find_ridges(
-    score: Float32[np.ndarray, "h w"], threshold: float, contrast_floor: float, min_length_px: float
-) -> list[Ridge]:
+
+def find_ridges(score: Float32[np.ndarray, "h w"], threshold: float, contrast_floor: float) -> list[Ridge]:
     """Find the ridges of an image.
 
     Parameters
@@ -49,7 +54,6 @@ def find_ridges(
     score : (h, w)   the image in which the stripe is bright
     threshold : float   least prominence as a multiple of the prominence of the image's noise
     contrast_floor : float   least prominence in grey values
-    min_length_px : float   shorter chains are dropped
 
     Returns
     -------
@@ -68,8 +72,8 @@ def find_ridges(
         if min(smooth.shape) <= 2 * _REACH:
             break
         for steep in (True, False):
-            found += _level_chains(smooth, steep, 2**level, threshold, contrast_floor, min_length_px)
-    return _compete(found, score.shape, min_length_px)
+            found += _level_chains(smooth, steep, 2**level, threshold, contrast_floor)
+    return _compete(found, score.shape)
 
 
 def _level_chains(
@@ -78,7 +82,6 @@ def _level_chains(
     factor: int,
     threshold: float,
     contrast_floor: float,
-    min_length_px: float,
 ) -> list[Ridge]:
     """Chains of one level and one kind."""
     rows, columns, prominence = _candidates(smooth, steep, threshold, contrast_floor)
@@ -95,7 +98,7 @@ def _level_chains(
     return [
         Ridge(uv[s : s + n], prominence[s : s + n], steep, float(factor))
         for s, n in zip(starts, lengths, strict=True)
-        if n * factor >= min_length_px and n >= 4
+        if n >= _SHORTEST
     ]
 
 
@@ -165,33 +168,58 @@ def _nearest(key: Int[np.ndarray, " n"], wanted: Int[np.ndarray, " n"], toleranc
     return np.where(np.abs(key[best] - wanted) <= tolerance, best, -1)
 
 
-def _compete(ridges: list[Ridge], shape: tuple[int, ...], min_length_px: float) -> list[Ridge]:
+def _compete(ridges: list[Ridge], shape: tuple[int, ...]) -> list[Ridge]:
     """Give every pixel to one chain only, the chain with the larger sum of prominence first."""
     taken = np.zeros(shape, dtype=np.uint8)
-    ridges = sorted(ridges, key=lambda ridge: -float(ridge.prominence.sum()) * ridge.scale_px)[:_MAX_CHAINS]
+    ridges = sorted(ridges, key=lambda ridge: -ridge.strength)[:_MAX_CHAINS]
     kept = []
-    for ridge in ridges:
-        columns, rows = np.rint(ridge.uv).astype(int).T
-        free = taken[rows.clip(0, shape[0] - 1), columns.clip(0, shape[1] - 1)] == 0
+    for ridge in _coarse_back(ridges, shape):
+        free = taken[_pixels(ridge, shape)] == 0
         edges = np.flatnonzero(np.diff(np.concatenate([[False], free, [False]]).astype(np.int8)))
-        half = round(2.5 * ridge.scale_px + 2)
+        half = _half_width(ridge)
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            if (stop - start) * ridge.scale_px < min_length_px or stop - start < 4:
+            if stop - start < _SHORTEST:
                 continue
             part = Ridge(ridge.uv[start:stop], ridge.prominence[start:stop], ridge.steep, ridge.scale_px)
             kept.append(part)
-            _paint(taken, part, half)
+            taken[_band(part, half, shape)] = 1
     return kept
 
 
-def _paint(taken: np.ndarray, ridge: Ridge, half: int) -> None:
-    """Mark the pixels within ``half`` of the ridge, across it; no further than its ends."""
+def _coarse_back(ridges: list[Ridge], shape: tuple[int, ...]) -> list[Ridge]:
+    """The ridges, those last that cover finer ones which are clearly stronger together.
+
+    The finer ones are counted once for each row (column) of the coarse one.
+    """
+    finest = np.zeros(shape, dtype=np.float32)
+    back: list[Ridge] = []
+    for scale in sorted({ridge.scale_px for ridge in ridges}):
+        level = [ridge for ridge in ridges if ridge.scale_px == scale]
+        if scale > 1.0:
+            back += [r for r in level if finest[_band(r, _half_width(r), shape)].sum() > np.sqrt(scale) * r.strength]
+        for ridge in level:
+            place = _pixels(ridge, shape)
+            finest[place] = np.maximum(finest[place], ridge.prominence * ridge.scale_px)
+    late = {id(ridge) for ridge in back}
+    return [ridge for ridge in ridges if id(ridge) not in late] + [ridge for ridge in ridges if id(ridge) in late]
+
+
+def _pixels(ridge: Ridge, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the pixels at the ridge's points."""
+    columns, rows = np.rint(ridge.uv).astype(int).T
+    return rows.clip(0, shape[0] - 1), columns.clip(0, shape[1] - 1)
+
+
+def _half_width(ridge: Ridge) -> int:
+    """Pixels on either side that a ridge covers."""
+    return round(2.5 * ridge.scale_px + 2)
+
+
+def _band(ridge: Ridge, half: int, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the pixels within ``half`` of the ridge, across it, a row of the result for each; no further than its ends."""
     axis = 1 if ridge.steep else 0
     line = np.arange(np.ceil(ridge.uv[0, axis]), np.floor(ridge.uv[-1, axis]) + 1)
     place = np.rint(np.interp(line, ridge.uv[:, axis], ridge.uv[:, 1 - axis])).astype(int)
-    across = (place[:, None] + np.arange(-half, half + 1)).clip(0, taken.shape[axis] - 1)
-    line = line.astype(int).clip(0, taken.shape[1 - axis] - 1)[:, None]
-    if ridge.steep:
-        taken[line, across] = 1
-    else:
-        taken[across, line] = 1
+    across = (place[:, None] + np.arange(-half, half + 1)).clip(0, shape[axis] - 1)
+    line = line.astype(int).clip(0, shape[1 - axis] - 1)[:, None]
+    return (line, across) if ridge.steep else (across, line)

@@ -160,7 +160,7 @@ def find_stripe(
     Returns
     -------
     ridges : list of Ridge
-    crowded : bool   the frame shows the scene itself, or did so before the background was subtracted
+    crowded : bool   the frame shows the scene itself
     """
     best: list[Ridge] = []
     best_strength = 0.0
@@ -168,25 +168,23 @@ def find_stripe(
     for name, score in score_images(frame, colour):
         if name == "grey" and clear and not frame.subtracted:
             continue
-        ridges = find_ridges(score, threshold, min_contrast * frame.unit, min_length_px)
-        strongest = max(ridges, key=_strength, default=None)
-        if strongest is not None and _strength(strongest) > best_strength:
-            best, best_strength = ridges, _strength(strongest)
+        ridges = find_ridges(score, threshold, min_contrast * frame.unit)
+        strongest = max(ridges, key=lambda r: r.strength, default=None)
+        if strongest is not None and strongest.strength > best_strength:
+            best, best_strength = ridges, strongest.strength
             clear |= len(strongest.uv) * strongest.scale_px >= 3.0 * min_length_px and bool(
                 np.median(strongest.prominence) >= _CLEAR * frame.unit
             )
     if not best:
         return best, False
-    usual = float(np.median(max(best, key=_strength).prominence))
-    crowded = len(best) > _CROWD
+    usual = float(np.median(max(best, key=lambda r: r.strength).prominence))
+    long = [r for r in best if len(r.uv) * r.scale_px >= min_length_px]
+    crowded = len(long) > _CROWD
+    if crowded:
+        best = long
     part, share = (_CROWD_PART, _CROWD_SHARE) if crowded else (_FAINT_PART, 0.0)
-    best = [r for r in best if np.median(r.prominence) > part * usual and _strength(r) > share * best_strength]
-    return best, crowded or frame.lit
-
-
-def _strength(ridge: Ridge) -> float:
-    """Sum of prominence along the ridge, grey values x px."""
-    return float(ridge.prominence.sum()) * ridge.scale_px
+    best = [r for r in best if np.median(r.prominence) > part * usual and r.strength > share * best_strength]
+    return best, crowded
 
 
 def measuring_plane(frame: Frame, channel: str, ridges: list[Ridge]) -> int:
@@ -199,8 +197,8 @@ def measuring_plane(frame: Frame, channel: str, ridges: list[Ridge]) -> int:
         return 0
     if channel in CHANNELS:
         return CHANNELS.index(channel)
-    most = max(_strength(ridge) for ridge in ridges)
-    ridges = [ridge for ridge in ridges if _strength(ridge) >= 0.2 * most]
+    most = max(ridge.strength for ridge in ridges)
+    ridges = [ridge for ridge in ridges if ridge.strength >= 0.2 * most]
     uv = np.concatenate([ridge.uv for ridge in ridges])[::3]
     steep = np.concatenate([np.full(len(ridge.uv), ridge.steep) for ridge in ridges])[::3]
     scale = np.concatenate([np.full(len(ridge.uv), ridge.scale_px) for ridge in ridges])[::3]

@@ -11,6 +11,7 @@ from rotaline.vision.stripe.curve import Chains, break_chains, join_chains, loca
 from rotaline.vision.stripe.profiles import Profiles, sample_profiles
 from rotaline.vision.stripe.ridges import Ridge
 
+SHORTEST = 4  # points of a piece
 _WINDOW = 6  # points on either side that settle the direction
 _JOIN_PX = 9.0
 _BOTH_SIDES = 0.2  # least fall to the higher side, part of the fall to the lower side
@@ -44,10 +45,10 @@ def trace_ridges(
     ridges: list[Ridge],
     value: Float32[np.ndarray, "h w"],
     clipped: Bool[np.ndarray, "h w"] | None,
-    min_length_px: float,
+    least: int,
     n_passes: int = 2,
 ) -> Trace | None:
-    """Follow the ridges at full resolution; None where nothing is left.
+    """Follow the ridges at full resolution; None where no piece of ``least`` points is left.
 
     Each pass takes profiles along the present normals, moves the points to the centroids, breaks the chains where the
     centres jump, and spaces the points equally again.
@@ -57,7 +58,6 @@ def trace_ridges(
     chains, width = _start(ridges, value, clipped)
     if len(chains) == 0:
         return None
-    least = max(4, int(min_length_px))
     for k in range(n_passes):
         _, tangent = local_lines(chains, _WINDOW, 0.3)
         normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
@@ -71,7 +71,7 @@ def trace_ridges(
         measured = np.where(good, np.clip(centres.width_px, _LEAST_WIDTH_PX, _MOST_WIDTH_PX), width)
         good &= alike(chains, measured, 0.25)
         moved = Chains(chains.uv + normal * np.where(good, centres.shift_px, 0.0)[:, None], chains.chain)
-        chains, kept = break_chains(moved, tangent, good, least if k else max(4, least // 2))
+        chains, kept = break_chains(moved, tangent, good, least if k else max(SHORTEST, least // 2))
         if len(chains) == 0:
             return None
         width = chains.window_mean(measured[kept], 10)

@@ -1,0 +1,110 @@
+"""Which pieces of what was found are the stripe."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from rotaline.vision.stripe.curve import Chains
+from rotaline.vision.stripe.ends import LEAST_CHECKED
+from rotaline.vision.stripe.model import StripePoints
+
+_NEAR_PX = 20.0
+_ALIKE = 1.5  # ratio of widths
+_LEAST_PART = 0.25  # of the usual height
+_SLENDER = 5.0  # widths: a spot of light is not as long
+_WIDTH_RATIO = 2.2
+
+
+def long_enough(points: StripePoints, min_length_px: float) -> StripePoints:
+    """Without short pieces, except those that make up the length together with others close by.
+
+    On a thread the stripe is a row of short pieces. Each is as wide as the stripe elsewhere in the frame and has a good
+    part of its height, is longer than it is wide, and is not alone. Single bright pixels, spots of light and reflections
+    lack one of these.
+
+    Parameters
+    ----------
+    points : StripePoints
+    min_length_px : float   least length of a piece, or of several less than 20 px apart
+    """
+    count = np.bincount(points.segment)
+    long = count >= min_length_px
+    if long.all():
+        return points
+    width, height = _medians(points, points.width_px), _medians(points, points.intensity)
+    known = long if long.any() else count > 0
+    ratio = width / _usual(width[known], count[known])
+    fits = (ratio < _ALIKE) & (ratio > 1.0 / _ALIKE) & (count >= _SLENDER * width)
+    fits &= height > _LEAST_PART * _usual(height[known], count[known])
+    fits |= long
+    part = points.select(fits[points.segment])
+    pairs = KDTree(part.uv).query_pairs(_NEAR_PX, output_type="ndarray")
+    a, b = part.segment[pairs].T
+    graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(count), len(count)))
+    _, group = connected_components(graph, directed=False)
+    together = np.bincount(group, weights=np.where(fits, count, 0))[group]
+    return _renumber(points.select((fits & (together >= min_length_px))[points.segment]))
+
+
+def doubtful_ends(points: StripePoints) -> StripePoints:
+    """Short pieces without their two outermost points, and with what is not known of the points next to them.
+
+    Where a stripe is cut off at a slant, the blurred end pulls the centre to one side. A long piece shows which points do
+    not continue it; a short one cannot. At x from the outermost point, ``sigma exp(-x / sigma)`` is added in square to the uncertainty; it
+    covers cuts up to 30 deg from the normal.
+    """
+    if len(points) == 0:
+        return points
+    chains = Chains(points.uv, points.segment)
+    start, stop = chains.bounds()
+    i = np.arange(len(points))
+    to_end = np.minimum(i - start, stop - i)
+    short = stop - start + 1 < LEAST_CHECKED
+    sigma = points.width_px
+    u = np.where(short, np.hypot(points.u_normal_px, sigma * np.exp(-to_end / sigma)), points.u_normal_px)
+    return replace(points, u_normal_px=u).select(~short | (to_end > 0))
+
+
+def of_one_width(points: StripePoints) -> StripePoints:
+    """Without the segments that are much wider or narrower than most of the stripe: other things in the scene."""
+    if len(points) == 0:
+        return points
+    count = np.bincount(points.segment)
+    width = _medians(points, points.width_px)
+    usual = _usual(width, count)
+    fits = (width > usual / _WIDTH_RATIO) & (width < usual * _WIDTH_RATIO)
+    return _renumber(points.select(fits[points.segment]))
+
+
+def brightest(points: StripePoints) -> StripePoints:
+    """Of the points in one row (one column, where the stripe is flat) those of the strongest segment."""
+    if len(points) == 0:
+        return points
+    light = points.intensity * points.width_px
+    strength = np.bincount(points.segment, weights=light) / np.bincount(points.segment)
+    steep = np.sum(light * (np.abs(points.normal[:, 0]) - np.abs(points.normal[:, 1]))) > 0
+    line = np.rint(points.uv[:, 1 if steep else 0]).astype(np.int64)
+    best = np.zeros(line.max() - min(line.min(), 0) + 1)
+    np.maximum.at(best, line, strength[points.segment])
+    return _renumber(points.select(strength[points.segment] >= best[line]))
+
+
+def _medians(points: StripePoints, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
+    """Median of a value over each segment."""
+    return np.array([np.median(values[points.segment == k]) for k in range(points.segment.max(initial=-1) + 1)])
+
+
+def _usual(values: Float[np.ndarray, " k"], count: Int[np.ndarray, " k"]) -> float:
+    """Median of the segments' values, each counted as often as it has points."""
+    order = np.argsort(values)
+    return float(values[order][np.searchsorted(np.cumsum(count[order]), 0.5 * count.sum())])
+
+
+def _renumber(points: StripePoints) -> StripePoints:
+    """Segments numbered from 0 without gaps."""
+    _, segment = np.unique(points.segment, return_inverse=True)
+    return replace(points, segment=segment.astype(np.int64))
