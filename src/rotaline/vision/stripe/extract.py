@@ -100,7 +100,9 @@ def extract_stripe(
     if trace is None:
         return _empty()
     points = _measure(trace, frame.planes[k], frame.clipped[k], frame.unit, least, options)
-    points = doubtful_ends(long_enough(points, options.min_length_px))
+    if not crowded:
+        points = long_enough(points, options.min_length_px)
+    points = doubtful_ends(points)
     if crowded or frame.lit:
         points = of_one_width(points)
     return points if options.keep == "all" else brightest(points)

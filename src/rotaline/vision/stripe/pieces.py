@@ -14,7 +14,7 @@ from rotaline.vision.stripe.model import StripePoints
 
 _NEAR_PX = 20.0
 _ALIKE = 1.5  # ratio of widths
-_LEAST_PART = 0.25  # of the usual height
+_LEAST_PART = 0.25  # of the usual height; of the greatest in a piece: what fades out is no length
 _SLENDER = 5.0  # widths: a spot of light is not as long
 _WIDTH_RATIO = 2.2
 
@@ -31,16 +31,20 @@ def long_enough(points: StripePoints, min_length_px: float) -> StripePoints:
     points : StripePoints
     min_length_px : float   least length of a piece, or of several less than 20 px apart
     """
-    count = np.bincount(points.segment)
-    long = count >= min_length_px
-    if long.all():
+    if len(points) == 0:
         return points
+    highest = np.zeros(points.segment.max() + 1)
+    np.maximum.at(highest, points.segment, points.intensity)
+    strong = points.intensity > _LEAST_PART * highest[points.segment]
+    count, core = np.bincount(points.segment), np.bincount(points.segment[strong])
     width, height = _medians(points, points.width_px), _medians(points, points.intensity)
+    long = count >= min_length_px
     known = long if long.any() else count > 0
     ratio = width / _usual(width[known], count[known])
-    fits = (ratio < _ALIKE) & (ratio > 1.0 / _ALIKE) & (count >= _SLENDER * width)
-    fits &= height > _LEAST_PART * _usual(height[known], count[known])
-    fits |= long
+    alike = (ratio < _ALIKE) & (ratio > 1.0 / _ALIKE)
+    slender = core >= _SLENDER * width
+    fits = alike & slender & (height > _LEAST_PART * _usual(height[known], count[known]))
+    fits |= long & (alike | slender)
     part = points.select(fits[points.segment])
     pairs = KDTree(part.uv).query_pairs(_NEAR_PX, output_type="ndarray")
     a, b = part.segment[pairs].T

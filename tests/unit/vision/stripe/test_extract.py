@@ -257,3 +257,95 @@ def test_of_two_lines_the_brightest_may_be_kept():
     assert len(both) > 1.8 * len(one)
     assert inner.sum() > 90
     assert np.abs(scene.error(one.uv[inner])).max() < 0.1
+
+
+def row_of_dashes(length_px, gap_px, angle_deg, row_deg, n=8, sigma_px=0.9, line=False):
+    """Pieces of stripe one after the other along a row, as on a thread, and where they are: image and (n, 2) centres."""
+    v, u = np.mgrid[0 : 160 * 4, 0 : 160 * 4] / 4.0 - 0.375
+    along, row = np.radians([angle_deg, row_deg])
+    t = (np.arange(n) - 0.5 * (n - 1)) * (length_px + gap_px)
+    centres = np.array([79.7, 80.2]) + t[:, None] * [np.cos(row), np.sin(row)]
+    light = np.zeros(u.shape)
+    for x, y in centres:
+        d = -np.sin(along) * (u - x) + np.cos(along) * (v - y)
+        s = np.cos(along) * (u - x) + np.sin(along) * (v - y)
+        light += np.exp(-0.5 * (d / sigma_px) ** 2) * (np.abs(s) < 0.5 * length_px)
+    if line:
+        light += np.exp(-0.5 * ((u - 12.0) / sigma_px) ** 2) * (v > 100)
+    light = light.reshape(160, 4, 160, 4).mean(axis=(1, 3))
+    noise = np.random.default_rng(4).normal(5.0, 1.5, light.shape)
+    return np.rint((120 * light + noise).clip(0, 255)).astype(np.uint8), centres
+
+
+def across(points, centre, angle_deg):
+    angle = np.radians(angle_deg)
+    return (points.uv - centre) @ [-np.sin(angle), np.cos(angle)]
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 20.0, 45.0, 70.0, 90.0])
+def test_a_row_of_short_pieces_is_found(angle_deg):
+    """Of 8 px each; in a smaller image the row looks like one line in another direction."""
+    image, centres = row_of_dashes(8.0, 6.0, angle_deg, angle_deg + 65.0)
+    points = extract_stripe(image)
+    assert np.unique(points.segment).size == len(centres)
+    for k in range(len(centres)):
+        piece = points.select(points.segment == k)
+        centre = centres[np.argmin(np.hypot(*(centres - piece.uv.mean(axis=0)).T))]
+        error = across(piece, centre, angle_deg)
+        assert 4 <= len(piece) <= 9
+        assert (np.abs(error) < 4.0 * piece.u_normal_px).all()
+        assert np.abs(error[1:-1]).max() < 0.1
+
+
+def test_short_pieces_beside_a_long_one():
+    image, centres = row_of_dashes(7.0, 5.0, 30.0, 95.0, line=True)
+    points = extract_stripe(image)
+    near = np.hypot(points.uv[:, None, 0] - centres[:, 0], points.uv[:, None, 1] - centres[:, 1]).min(axis=0)
+    assert (near < 1.0).sum() >= 7
+
+
+def test_the_ends_of_short_pieces_say_that_they_are_doubtful():
+    image, _ = row_of_dashes(10.0, 8.0, 20.0, 85.0, n=6)
+    points = extract_stripe(image)
+    for k in range(6):
+        u = points.u_normal_px[points.segment == k]
+        assert min(u[0], u[-1]) > 0.2 > 0.05 > u[len(u) // 2]
+
+
+def with_spots(spot, places, seed=3):
+    """A long stripe, and spots beside it."""
+    v, u = np.mgrid[0:120, 0:160].astype(float)
+    light = 150 * np.exp(-0.5 * ((u - 30.4 - 0.1 * v) / 1.0) ** 2) + np.random.default_rng(seed).normal(5, 1.5, u.shape)
+    for x, y in places:
+        light += spot(u - x, v - y)
+    points = extract_stripe(np.rint(light.clip(0, 255)).astype(np.uint8))
+    return np.abs(points.uv[:, 0] - 30.4 - 0.1 * points.uv[:, 1]), np.unique(points.segment).size
+
+
+@pytest.mark.parametrize(
+    ("spot", "places"),
+    [
+        (lambda x, y: 250.0 * ((x == 0) & (y == 0)), [(60, 40), (90, 70), (100, 20)]),
+        (lambda x, y: 250.0 * ((np.abs(x) <= 1) & (np.abs(y) <= 1)), [(50, 40), (56, 52), (100, 20)]),
+        (lambda x, y: 150.0 * np.exp(-0.5 * (x * x + y * y)), [(50, 40), (57, 47)]),
+        (lambda x, y: 250.0 * np.exp(-0.5 * (x * x + y * y) / 4.0), [(50, 40), (60, 55)]),
+        (lambda x, y: 150.0 * np.exp(-0.5 * x * x) * (np.abs(y) < 4), [(110, 60)]),
+        (lambda x, y: 15.0 * np.exp(-0.5 * x * x) * (np.abs(y) < 4), [(52, 60)]),
+    ],
+    ids=["bright pixels", "hot spots", "round spots", "glints", "alone", "faint"],
+)
+def test_spots_of_light_are_not_short_pieces(spot, places):
+    far, pieces = with_spots(spot, places)
+    assert len(far) > 100
+    assert far.max() < 1.0
+    assert pieces == 1
+
+
+def test_salt_noise_is_not_short_pieces():
+    u = np.mgrid[0:200, 0:240][1].astype(float)
+    rng = np.random.default_rng(6)
+    light = 150 * np.exp(-0.5 * ((u - 60.4) / 1.0) ** 2) + rng.normal(5, 1.5, u.shape)
+    light[(rng.random(u.shape) < 0.002) & (u > 75)] = 255.0
+    points = extract_stripe(np.rint(light.clip(0, 255)).astype(np.uint8))
+    assert len(points) > 170
+    assert np.abs(points.uv[:, 0] - 60.4).max() < 0.5
