@@ -17,8 +17,8 @@ def main(results: Path) -> None:
     contents = read_record(results / "stages" / REPORT_RECORD)
     mount = contents.artifact.mounts[-1]
     save_png(artifact.feature_circles(mount, contents.artifacts.get(mount.name)), OUT / "feature-circles.png", dpi=90)
-    groove = next(s for s in contents.surfaces if s.folder == "groove")
-    save_png(scan.mesh_views(groove.vertices_table, groove.triangles), OUT / "groove-surface.png", dpi=90)
+    bust = next(s for s in contents.surfaces if s.folder == "bust")
+    save_png(scan.mesh_views(bust.vertices_table, bust.triangles), OUT / "bust-surface.png", dpi=90)
     stripe = next(o for o in contents.overlays if o.stage == "artifact")
     save_png(frames.overlay(stripe), OUT / "stripe.png", dpi=90)
     fitted = next(f for f in contents.fitted_points if f.capture == "rod")
