@@ -49,7 +49,7 @@ class RigFile:
         RigError
             For a rig that cannot be; the message names the file.
         """
-        return self._named(lambda: rig_of(self.tables))
+        return self.named(lambda: rig_of(self.tables))
 
     def plan(self, seed: int | None = None) -> SessionPlan:
         """The session to be rendered; ``seed`` instead of the file's.
@@ -60,13 +60,14 @@ class RigFile:
             If a part or a target cannot be, or poses of a target do not fit into the view.
         """
         chosen = self.tables.session.seed if seed is None else seed
-        return self._named(lambda: plan_of(self.tables, rig_of(self.tables), chosen, self.folder))
+        return self.named(lambda: plan_of(self.tables, rig_of(self.tables), chosen, self.folder))
 
-    def _named(self, make: Callable[[], T]) -> T:
+    def named(self, make: Callable[[], T]) -> T:
+        """What ``make`` gives; each line of a :class:`RigError` that it raises gets the name of this file."""
         try:
             return make()
         except RigError as error:
-            raise RigError(f"{self.source}: {error}") from error
+            raise RigError("\n".join(f"{self.source}: {line}" for line in str(error).splitlines())) from error
 
 
 def preset_text(name: str) -> str:

@@ -182,6 +182,7 @@ def _laser(
     across = np.cross(beam, [0.0, 0.0, 1.0])
     # a beam along the axis holds its direction however the sheet is turned; then 0 means: along base x
     normal = unit(across) if np.linalg.norm(across) > 1e-9 else np.array([0.0, 1.0, 0.0])
+    normal = unit(normal - (normal @ beam) * beam)
     normal = Rotation.from_rotvec(np.radians(table.sheet_roll_deg) * beam).apply(normal)
 
     distance = float(np.linalg.norm(np.subtract(table.aim_at_mm, table.position_mm)))

@@ -27,13 +27,13 @@ def simulate(file: RigFile, out: Path, observer: Observer, *, seed: int | None =
         If the folder exists, or cannot be written.
     """
     rig = file.rig()
-    require_rig(rig)
+    file.named(lambda: require_rig(rig))
     plan = file.plan(seed)
     left = unfinished(out, rig, plan)
     shapes = {id(placed.shape): placed.shape for c in plan.captures for placed in c.shots[0].on_table}
     for note in (note for shape in shapes.values() for note in getattr(shape, "notes", ())):
         observer.warning(note)
-    for problem in require_scene(rig, plan):
+    for problem in file.named(lambda: require_scene(rig, plan)):
         observer.warning(str(problem))
     observer.stage(f"Rendering {plan.n_frames} frames into {out}", stored=False)
     if left is not None:
