@@ -161,7 +161,8 @@ def _read_frames(
 ) -> tuple[Frame, ...]:
     table = folder / "frames.csv"
     if not folder.is_dir():
-        problems.append(Problem(f"session.toml, capture '{label}'", f"there is no folder '{label}' in the session."))
+        text = f"there is no folder '{label}' in the session. Copy it there, or remove the capture from session.toml."
+        problems.append(Problem(f"session.toml, capture '{label}'", text))
         return ()
     if not table.is_file():
         problems.append(

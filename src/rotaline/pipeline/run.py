@@ -299,7 +299,8 @@ class Run:
             names = [n for i, n in enumerate(stripes.frame_names) if not np.any(stripes.frame == i)]
             self._warn(
                 "scan",
-                f"{capture.folder}: no stripe in {empty} of {len(stripes.frame_names)} frames, the first is {names[0]}.",
+                f"{capture.folder}: no stripe in {empty} of {len(stripes.frame_names)} frames, the first is {names[0]}. "
+                "They add no points. If the part should be seen there, check laser and exposure, and take them again.",
             )
         return cloud
 
