@@ -286,7 +286,7 @@ def build_rig(
     plane = Plane(normal, 0.7)
     start = middle + _standing(-camera_side * 22.0, 50.0, 240.0)
     start = start - plane.signed_distance_to(start[None])[0] * normal
-    # a wide stripe is biased on curved surfaces, one narrower than this would alias: the blur comes after the pixels
     beam = unit(middle - plane.signed_distance_to(middle[None])[0] * normal - start)
+    # a wide stripe is biased on curved surfaces, a narrow one is sampled by too few pixels
     laser = Laser(plane, start, beam, sigma_mm=0.6 * distance / focal, speckle_contrast=0.1)
     return Rig(camera, camera_from_base, laser, sensor, turn_sense=turn_sense)

@@ -210,10 +210,3 @@ def trace_frames(
         spacing_px,
         rig.camera.image_size,
     )
-
-
-def observe_scan(
-    rig: Rig, parts_table: Sequence[Placed], angles_deg: Sequence[float], *, sigma_px: float, seed: int
-) -> tuple[StripePoints, ...]:
-    """One noisy scan: :func:`trace_scan` and :meth:`IdealScan.observed` with the defaults; one stripe a frame."""
-    return trace_scan(rig, parts_table, angles_deg, seed=seed).observed(sigma_px, seed)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotaline.simulation.ideal.observed_scan import observe_scan, trace_scan
+from rotaline.simulation.ideal.observed_scan import trace_scan
 from rotaline.simulation.imaging.raycast import Placed
 from rotaline.simulation.plan import mount, table_disc
 from rotaline.simulation.rig import Mechanics, build_rig
@@ -140,14 +140,6 @@ def test_frames_without_a_stripe_keep_their_place():
     assert len(stripes) == 3
     assert [len(stripe) for stripe in stripes] == np.bincount(scan.frame, minlength=3).tolist()
     assert 0 in [len(stripe) for stripe in stripes]
-
-
-def test_observe_scan_is_tracing_and_noise_in_one():
-    shaky = replace(RIG, mechanics=Mechanics(run_out_noise_um=5.0))
-    once = observe_scan(shaky, PARTS, ANGLES_DEG, sigma_px=0.05, seed=7)
-    apart = trace_scan(shaky, PARTS, ANGLES_DEG, seed=7).observed(0.05, 7)
-    for a, b in zip(once, apart, strict=True):
-        np.testing.assert_array_equal(a.uv, b.uv)
 
 
 @pytest.mark.parametrize(
