@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import RigidTransform
 
-from rotaline.geometry.primitives import Line, Plane
+from rotaline.geometry.primitives import Line, Plane, SheetCurvature
 from rotaline.geometry.transforms import base_from_axis
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.targets.model import Target, TargetDetection
@@ -209,11 +209,54 @@ class ArtifactCalibration:
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class AngleError:
+    """Once-per-turn error of the angle read-out: the table has turned by ``read + cos_rad cos(read) + sin_rad sin(read)``.
+
+    In the sense of the read-out (before ``turn_sense`` is applied); rad.
+    """
+
+    cos_rad: float = 0.0
+    sin_rad: float = 0.0
+
+    def turned_rad(self, read_rad: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
+        """How far the table has turned when the read-out says ``read_rad``."""
+        return np.asarray(read_rad + self.cos_rad * np.cos(read_rad) + self.sin_rad * np.sin(read_rad))
+
+
+@dataclass(frozen=True, eq=False)
+class SystemCovariance:
+    """Covariance of what a scan is made with: errors that are common to all points of all scans.
+
+    Small changes, in the order of ``names``:
+
+    - camera parameters by their names (px; distortion without unit)
+    - ``plane_turn_1``, ``plane_turn_2`` (rad), ``plane_offset`` (mm): the plane becomes
+      ``normal . X + offset + (t1 e1 + t2 e2) . (X - plane_pivot) + h = 0`` with ``e1, e2 = across(normal)``
+    - ``curvature_uu``, ``curvature_uv``, ``curvature_vv`` (1/mm), where the sheet is curved
+    - ``axis_turn_x``, ``axis_turn_y`` (rad), ``axis_shift_x``, ``axis_shift_y`` (mm): the axis turns about x and y of the base
+      frame, right-handed, about ``axis_pivot``, and moves along them; the frame moves with it
+    - ``angle_cos``, ``angle_sin`` (rad): of :class:`AngleError`, where that was estimated
+
+    Attributes
+    ----------
+    names : (p,)
+    matrix : (p, p)   k = 1
+    plane_pivot_camera, axis_pivot_camera : (3,)   mm
+    """
+
+    names: tuple[str, ...]
+    matrix: Float[np.ndarray, "p p"]
+    plane_pivot_camera: Float[np.ndarray, "3"]
+    axis_pivot_camera: Float[np.ndarray, "3"]
+
+
 @dataclass(frozen=True, eq=False)
 class SystemCalibration:
     """All that a scan needs. ``rotation_axis_camera.point`` is the origin of the base frame: z = 0.
 
-    ``table_seen``: z = 0 is the table top; otherwise it is the point of the axis nearest to the optical axis.
+    ``table_seen``: z = 0 is the table top; otherwise it is the point of the axis nearest to the optical axis. ``laser_curvature``: None
+    for a flat sheet. ``covariance``: None where it is not known.
     """
 
     camera: CameraModel
@@ -221,6 +264,9 @@ class SystemCalibration:
     rotation_axis_camera: Line
     turn_sense: int
     table_seen: bool
+    laser_curvature: SheetCurvature | None = None
+    angle_error: AngleError = AngleError()
+    covariance: SystemCovariance | None = None
 
     @property
     def base_from_camera(self) -> RigidTransform:

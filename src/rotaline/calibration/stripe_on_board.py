@@ -27,11 +27,15 @@ _ASSUMED_DIAMETER = 0.5
 
 @dataclass(frozen=True, eq=False)
 class StripeView:
-    """A target in one pose and the laser stripe on it; ``name`` is ``folder/image`` of the frame with the stripe."""
+    """A target in one pose and the laser stripe on it.
+
+    ``name`` is ``folder/image`` of the frame with the stripe, ``detection_name`` of the one with the target.
+    """
 
     name: str
     detection: TargetDetection
     stripe: StripePoints
+    detection_name: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,13 +87,15 @@ class Cylinder:
 class SteppedCylinder:
     """The artefact of the article: a small cylinder standing on a large one (figure 5).
 
-    In its own frame (``part``) the axis is z, z = 0 is the bottom of the large cylinder, z points to the small one. Sizes in mm.
+    In its own frame (``part``) the axis is z, z = 0 is the bottom of the large cylinder, z points to the small one. Sizes in mm,
+    each known to lie within ``tolerance`` of what is stated (0: taken as exact).
     """
 
     diameter_small: float
     diameter_large: float
     height_small: float
     height_large: float
+    tolerance: float = 0.0
 
     def edge_circles_part(self) -> tuple[Circle, Circle, Circle, Circle]:
         """The four feature circles C1 ... C4 in the ``part`` frame.
@@ -108,3 +110,37 @@ class SteppedCylinder:
             Circle(np.array([0.0, 0.0, z]), z_axis, r) for z, r in zip(heights, (r1, r1, r2, r2), strict=True)
         )
         return c1, c2, c3, c4
+
+
+@dataclass(frozen=True)
+class KnownCylinder:
+    """A plain cylinder of known diameter as an artefact; ``height`` (mm) where its top disc may be used too.
+
+    In its own frame (``part``) the axis is z, z = 0 is the bottom. Each size is known to lie within ``tolerance`` (mm).
+    """
+
+    diameter: float
+    height: float | None = None
+    tolerance: float = 0.0
+
+
+@dataclass(frozen=True)
+class KnownSphere:
+    """A sphere of known diameter as an artefact, its centre at the origin of its own frame (``part``); mm, within ``tolerance``."""
+
+    diameter: float
+    tolerance: float = 0.0
+
+
+Artifact = SteppedCylinder | KnownCylinder | KnownSphere
+
+
+@dataclass(frozen=True, eq=False)
+class SheetCurvature:
+    """How a sheet of light leaves its plane: points X with ``normal . X + offset + (a u^2 + 2 b u v + c v^2) / 2 = 0``.
+
+    ``u, v = e1 . (X - origin), e2 . (X - origin)`` with ``e1, e2 = across(normal)``; ``coefficients`` = (a, b, c) in 1/mm.
+    """
+
+    origin: Float[np.ndarray, "3"]
+    coefficients: tuple[float, float, float]
