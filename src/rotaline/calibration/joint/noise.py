@@ -1,0 +1,131 @@
+"""How large the noise is: of the observations, group by group, and of the table and the plates, frame by frame.
+
+Nothing of it is assumed: scales come from the residuals. A frame on the table has errors of its own (angle, run-out, lift, wobble), a plate may not be
+flat; these are random effects with variances from the data [1]_ [2]_, estimated together with everything else. Neighbours along a stripe err alike: a
+stripe counts as many points as are independent, by the autocorrelation of its residuals.
+
+References
+----------
+.. [1] Harville, Journal of the American Statistical Association 72 (1977) 320
+.. [2] MacKay, Neural Computation 4 (1992) 415 (section 4, the number of well-determined parameters)
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+TABLE_ERRORS = ("angle", "run-out", "lift", "wobble")
+TABLE_CLASSES = np.array([3, 3, 0, 1, 1, 2])
+"""Class (index into ``TABLE_ERRORS``) of a frame's turn about x, y, z and shift along x, y, z."""
+CAUCHY = 4.0
+"""Residuals of this many standard deviations count half: 98 % efficient for Gaussian noise, indifferent to gross outliers."""
+KEPT = 0.1
+"""Points with a smaller robust weight are outliers (beyond 12 standard deviations)."""
+_MAX_LAG = 60
+_LEAST_SIGMA = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Scales of all that is random.
+
+    Attributes
+    ----------
+    scale : (g,)   standard deviation of a residual in units of its stated uncertainty (target points: px), of each group
+    correlation : (g,)   how many neighbours along a stripe count as one
+    table : (4,)   standard deviations of the errors of ``TABLE_ERRORS``: rad, mm, mm, rad
+    plate_mm : of the surface of a plate off the plane of its points
+    print_mm : (t,)   of the places of a target's points, along x and y
+    """
+
+    scale: Float[np.ndarray, " g"]
+    correlation: Float[np.ndarray, " g"]
+    table: Float[np.ndarray, "4"] = field(default_factory=lambda: np.array([2e-5, 1e-3, 5e-4, 1e-5]))
+    plate_mm: float = 2e-3
+    print_mm: Float[np.ndarray, " t"] = field(default_factory=lambda: np.zeros(0))
+
+    def local_prior(self, n_local: int, on_table: bool) -> Float[np.ndarray, " l"]:
+        """One over the standard deviation of each of a frame's own parameters; 0 where nothing is known beforehand."""
+        if on_table:
+            return 1.0 / np.maximum(self.table[TABLE_CLASSES], _LEAST_SIGMA)
+        return np.concatenate([np.zeros(6), np.full(n_local - 6, 1.0 / max(self.plate_mm, _LEAST_SIGMA))])
+
+
+def robust_weights(standardised: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Cauchy weights of squared residuals."""
+    return 1.0 / (1.0 + (standardised / CAUCHY) ** 2)
+
+
+def robust_scale(values: Float[np.ndarray, " n"]) -> float:
+    """Standard deviation about zero of the middle of the values."""
+    return 1.4826 * float(np.median(np.abs(values))) if len(values) else 1.0
+
+
+def information_factor(standardised: Float[np.ndarray, " n"]) -> float:
+    """What the robust estimate knows of a residual in units of ``1 / scale``: ``E[psi'] / sqrt(E[psi^2])``, outliers left out."""
+    t = standardised[robust_weights(standardised) > KEPT]
+    if len(t) < 3:
+        return 1.0
+    ratio = (t / CAUCHY) ** 2
+    slope = float(np.mean((1.0 - ratio) / (1.0 + ratio) ** 2))
+    power = float(np.mean((t / (1.0 + ratio)) ** 2))
+    return slope / np.sqrt(power) if power > 0 else 1.0
+
+
+def correlation_length(
+    values: Float[np.ndarray, " n"], piece: Int[np.ndarray, " n"], kept: Bool[np.ndarray, " n"]
+) -> float:
+    """How many neighbours count as one: ``1 + 2 sum of the autocorrelations`` up to where they drown in their own noise.
+
+    ``piece``: values of one piece follow each other along a stripe.
+    """
+    values = np.where(kept, values, 0.0)
+    power = float(np.sum(values**2))
+    n = int(np.count_nonzero(kept))
+    if n < 50 or power == 0.0:
+        return 1.0
+    length = 1.0
+    for lag in range(1, _MAX_LAG + 1):
+        pairs = (piece[lag:] == piece[:-lag]) & kept[lag:] & kept[:-lag]
+        n_pairs = int(np.count_nonzero(pairs))
+        if n_pairs < 50:
+            break
+        rho = float(values[lag:][pairs] @ values[:-lag][pairs]) / n_pairs / (power / n)
+        if rho < max(2.0 / np.sqrt(n_pairs), 0.01):
+            break
+        length += 2.0 * rho
+    return length
+
+
+def update_variances(
+    noise: Noise,
+    table_means: Float[np.ndarray, "f 6"],
+    table_variances: Float[np.ndarray, "f 6"],
+    plate_means: Float[np.ndarray, "v 3"],
+    plate_variances: Float[np.ndarray, "v 3"],
+) -> Noise:
+    """Standard deviations of the frames' own errors, from what was found in each frame and how well that is known [2]_."""
+    table = noise.table.copy()
+    for c in range(len(TABLE_ERRORS)):
+        mine = c == TABLE_CLASSES
+        table[c] = _updated(table[c], table_means[:, mine], table_variances[:, mine])
+    plate = _updated(noise.plate_mm, plate_means, plate_variances)
+    return replace(noise, table=table, plate_mm=plate)
+
+
+def determined(sigma: float, variances: Float[np.ndarray, "f k"]) -> float:
+    """How many of the frames' errors the data determine: each counts by the part that is not from the prior."""
+    return float(np.sum(np.clip(1.0 - variances / max(sigma, _LEAST_SIGMA) ** 2, 0.0, 1.0)))
+
+
+def _updated(sigma: float, means: Float[np.ndarray, "f k"], variances: Float[np.ndarray, "f k"]) -> float:
+    """Half a step of expectation-maximisation, half one of MacKay's: the first cannot fail, the second is fast."""
+    if means.size == 0:
+        return sigma
+    expected = float(np.mean(means**2 + variances))
+    gamma = determined(sigma, variances)
+    if gamma < 1.0:
+        return sigma
+    fast = float(np.sum(means**2)) / gamma
+    return float(np.sqrt(np.clip(fast, 0.1 * expected, 4.0 * expected)))
