@@ -21,9 +21,11 @@ import numpy as np
 from rotaline.calibration.joint.begin import in_one_order, start_noise, start_state
 from rotaline.calibration.joint.data import gather
 from rotaline.calibration.joint.iterate import Iterated, Setting, iterate, prior_rows, row_weights
+from rotaline.calibration.joint.line_width import line_sigma
 from rotaline.calibration.joint.model import JointCalibration, JointStart, OptionalParameters
+from rotaline.calibration.joint.noise import Noise
 from rotaline.calibration.joint.optional import CHANCE, Assessment, assess, candidates, described
-from rotaline.calibration.joint.print_errors import learn_print_errors, print_model, print_views
+from rotaline.calibration.joint.print_errors import PrintView, learn_print_errors, print_model, print_views
 from rotaline.calibration.joint.result import slot_values, to_result
 from rotaline.calibration.joint.state import Layout, State
 from rotaline.calibration.joint.surfaces import size_names, size_scale
@@ -78,12 +80,20 @@ def estimate_jointly(
     setting = Setting(data, start.camera.parameter_names, state.artifacts, observations.image_size)
     layout = _base_layout(setting, state)
     band = _start_band(state.artifacts)
-    found = iterate(setting, layout, state, start_noise(data), band)
+    found = iterate(setting, layout, state, start_noise(data), band, rough=True)
     _require(setting, found)
     n_iterations = found.n_iterations
+    state, noise = found.state, found.noise
+    prints: dict[int, PrintView] = {}
+    sigma = _line_sigma(found)
+    if sigma > 0:
+        setting = replace(setting, line_variance=sigma**2)
+        layout = layout.with_slot("line", 1)
+        state = replace(state, line_variance=sigma**2)
     if options.print_errors:
-        found = _with_print_errors(setting, found)
-        n_iterations += found.n_iterations
+        noise, prints = _print_errors(setting, found)
+    found = iterate(setting, layout, state, noise, found.band_mm, found.effects, prints)
+    n_iterations += found.n_iterations
     off: tuple[OptionalParameters, ...] = ()
     chosen: dict[str, Assessment] = {}
     possible = [c for c in candidates(data, setting) if c.slot not in layout] if options.optional_parameters else []
@@ -103,9 +113,6 @@ def estimate_jointly(
         wider = found.layout.with_slot(best.candidate.slot, len(best.candidate.keys))
         found = iterate(setting, wider, found.state, found.noise, found.band_mm, found.effects, found.prints)
         n_iterations += found.n_iterations
-        if options.print_errors:
-            found = _with_print_errors(setting, found)
-            n_iterations += found.n_iterations
     on = []
     for slot, a in chosen.items():
         place = found.layout.of(slot)
@@ -164,8 +171,16 @@ def _require(setting: Setting, found: Iterated) -> None:
         raise CalibrationError("The joint estimate did not settle.")
 
 
-def _with_print_errors(setting: Setting, found: Iterated) -> Iterated:
-    """The same estimate with the errors of the targets' points, where the views show any."""
+def _line_sigma(found: Iterated) -> float:
+    """Standard deviation of the laser line from the widths of the stripes on all artefacts, mm."""
+    points = [f.mount for f in found.frames if f.mount is not None]
+    if not points:
+        return 0.0
+    return line_sigma(np.concatenate([p.width_px for p in points]), np.concatenate([p.steepness for p in points]))
+
+
+def _print_errors(setting: Setting, found: Iterated) -> tuple[Noise, dict[int, PrintView]]:
+    """Whether the views show errors of the targets' points: their standard deviations, and which points of which frames have them."""
     data = setting.data
     numbers = [
         *((f.points.target, f.points.numbers) for f in data.plates),
@@ -176,16 +191,13 @@ def _with_print_errors(setting: Setting, found: Iterated) -> Iterated:
     rows = [f.rows for f in found.frames]
     views = print_views(data.targets, numbers, rows, together)
     if not views:
-        return found
+        return found.noise, {}
     weights = row_weights(setting, found.noise, found.frames, final=True)
     prior = prior_rows(setting, found.layout, found.state)
     model = print_model(found.eliminated, found.triangles, found.layout, prior, rows, weights, views, data.targets)
     print_mm = learn_print_errors(model, found.noise.print_mm, sorted({v.target for v in views.values()}))
-    views = {f: v for f, v in views.items() if print_mm[v.target] > 0}
-    if not views:
-        return found
-    noise = replace(found.noise, print_mm=print_mm)
-    return iterate(setting, found.layout, found.state, noise, found.band_mm, found.effects, views)
+    shown = {f: v for f, v in views.items() if print_mm[v.target] > 0}
+    return replace(found.noise, print_mm=print_mm), shown
 
 
 def _best(assessed: tuple[Assessment, ...]) -> Assessment | None:

@@ -5,16 +5,19 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from rotaline.calibration.joint.data import JointData
+from rotaline.calibration.joint.line_width import SHARE_UNKNOWN
 from rotaline.calibration.joint.noise import (
     KEPT,
     Noise,
     correlation_length,
+    frame_factor,
     information_factor,
     robust_scale,
     robust_weights,
+    slow_variance,
     update_variances,
 )
 from rotaline.calibration.joint.print_errors import (
@@ -42,12 +45,13 @@ _STEP_LIMITS = {"plane": (0.1, 0.1, 20.0), "axis": (0.1, 0.1, 5.0, 5.0)}
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What stays the same during the iteration; ``artifacts`` of each mount, as stated."""
+    """What stays the same during the iteration; ``artifacts`` of each mount, as stated; ``line_variance`` (mm^2) from the widths of the stripes."""
 
     data: JointData
     camera_names: tuple[str, ...]
     artifacts: tuple[Artifact, ...]
     image_size: tuple[int, int]
+    line_variance: float = 0.0
 
     def artifact_of(self, group: int) -> Artifact:
         """The artefact whose sizes have this number."""
@@ -92,7 +96,7 @@ class Effects:
     ``own``: each frame's own parameters; ``offsets`` (k, 2): of all points of all targets, one target after another, mm.
     """
 
-    own: tuple[Float[np.ndarray, " l"], ...]
+    own: tuple[Float[np.ndarray, " _"], ...]
     offsets: Float[np.ndarray, "k 2"]
 
 
@@ -104,6 +108,7 @@ def iterate(
     band_mm: float,
     effects: Effects | None = None,
     prints: dict[int, PrintView] | None = None,
+    rough: bool = False,
 ) -> Iterated:
     """Steps until they no longer matter.
 
@@ -115,9 +120,10 @@ def iterate(
     band_mm : how far from its surface a stripe point on an artefact may be at first
     effects : errors of frames and points, if they are known from before; then all points are used from the start
     prints : for the frames that show a target with errors of its points: which
+    rough : every fourth point of the stripes, and an end as soon as the steps are as small as the uncertainties
     """
     prints = prints or {}
-    thin = 4 if effects is None else 1
+    thin = 4 if rough else 1
     n_iterations, settled, steady = 0, False, False
     while n_iterations < MAX_ITERATIONS:
         n_iterations += 1
@@ -135,11 +141,9 @@ def iterate(
         steady = bool(np.all(np.abs(np.log(np.maximum(noise.table, 1e-8) / np.maximum(last.table, 1e-8))) < 0.05))
         if setting.data.mount_frames:
             band_mm = max(0.5 * band_mm, 15.0 * _spread_mm(frames))
-        if thin > 1 and size < np.sqrt(max(layout.size, 1)):
-            thin = 1
-        elif thin == 1 and settled and steady:
+        if (settled and steady) or (rough and n_iterations > 2 and size < 0.5 * np.sqrt(layout.size)):
             break
-    frames = linearise(setting, state, noise, band_mm, effects, prints, 1)
+    frames = linearise(setting, state, noise, band_mm, effects, prints, thin)
     triangles = _press_all(setting, layout, state, noise, frames, final=True)
     eliminated = eliminate(triangles, layout)
     solution, effects, model = solve_all(
@@ -201,6 +205,9 @@ def linearise(
     starts = np.concatenate([[0], np.cumsum([len(t.points_board()) for t in data.targets])])
 
     def add(rows: Rows, mount: MountPoints | None = None) -> None:
+        if len(noise.frame) and noise.frame[len(frames)] > 1.0:
+            factor = np.where(_is_stripe(data)[rows.group], noise.frame[len(frames)], 1.0)
+            rows = replace(rows, u=rows.u * factor)
         cleaned = rows.residuals
         if effects is not None:
             mine = effects.own[len(frames)]
@@ -261,7 +268,7 @@ def _press_all(
 
 def row_weights(
     setting: Setting, noise: Noise, frames: Sequence[FrameResiduals], final: bool
-) -> tuple[Float[np.ndarray, " n"], ...]:
+) -> tuple[Float[np.ndarray, " _"], ...]:
     """Square roots of the weights of all rows of each frame.
 
     ``final``: outliers left out, the others all with what the robust estimate knows of a residual, for the covariance.
@@ -281,7 +288,7 @@ def row_weights(
     return tuple(out)
 
 
-def _motions(data: JointData, layout: Layout, state: State, k: int) -> dict[str, Float[np.ndarray, "6 q"]]:
+def _motions(data: JointData, layout: Layout, state: State, k: int) -> dict[str, Float[np.ndarray, "6 _"]]:
     """How the global parameters move frame k, which stands on the table."""
     j = k - len(data.plates)
     if j < len(data.tables):
@@ -319,6 +326,9 @@ def prior_rows(setting: Setting, layout: Layout, state: State) -> Float[np.ndarr
             stated = setting.artifact_of(int(number))
             sigma = stated.tolerance / np.sqrt(3.0)
             off = sizes_of(state.artifacts[setting.data.artifact_groups.index(int(number))]) - sizes_of(stated)
+        elif kind == "line":
+            sigma = SHARE_UNKNOWN * setting.line_variance
+            off = np.array([state.line_variance - setting.line_variance])
         elif kind in _VAGUE:
             sigma, off = _VAGUE[kind], np.zeros(n)
         else:
@@ -349,6 +359,7 @@ def _step(setting: Setting, layout: Layout, state: State, solution: Solution) ->
 def _learn(data: JointData, noise: Noise, frames: Sequence[FrameResiduals], with_correlation: bool) -> Noise:
     """Scales of the groups and correlations along the stripes from the residuals."""
     scale, correlation = noise.scale.copy(), noise.correlation.copy()
+    factors = noise.frame.copy() if len(noise.frame) else np.ones(len(frames))
     for g, info in enumerate(data.groups):
         values, pieces, n_pieces = [], [], 0
         for frame in frames:
@@ -363,9 +374,19 @@ def _learn(data: JointData, noise: Noise, frames: Sequence[FrameResiduals], with
         together = np.concatenate(values)
         scale[g] = max(robust_scale(together), 1e-6)
         if with_correlation and info.kind in ("plate-stripe", "artifact"):
+            mine_frames = [f for f, frame in enumerate(frames) if np.any(frame.rows.group == g)]
+            slow = [slow_variance(v / scale[g], p) for v, p in zip(values, pieces, strict=True)]
+            usual = float(np.nanmedian(slow)) if np.isfinite(slow).any() else 0.0
+            for f, variance in zip(mine_frames, slow, strict=True):
+                factors[f] = frame_factor(float(factors[f]), variance, usual)
             kept = robust_weights(together / scale[g]) > KEPT
             correlation[g] = correlation_length(together, np.concatenate(pieces), kept)
-    return replace(noise, scale=scale, correlation=correlation)
+    return replace(noise, scale=scale, correlation=correlation, frame=factors)
+
+
+def _is_stripe(data: JointData) -> Bool[np.ndarray, " g"]:
+    """Which groups are stripes."""
+    return np.array([g.kind in ("plate-stripe", "artifact") for g in data.groups])
 
 
 def _learn_variances(data: JointData, noise: Noise, solution: Solution) -> Noise:

@@ -165,7 +165,8 @@ class JointCalibration:
 
     ``camera_names`` are the camera parameters that were estimated. ``parameters`` gives value, standard uncertainty and unit of every
     calibrated quantity by name. ``turn_sense`` is the one that came in. ``axis_camera`` is None in sessions without a turntable; then
-    ``covariance`` has no axis. ``board_scale`` is the estimated true over stated pitch of each target whose pitch was estimated.
+    ``covariance`` has no axis. ``line_sigma_mm`` is the standard deviation of the laser line across the sheet, for which the surfaces of artefacts
+    are corrected; 0 where the stripes do not show it.
     """
 
     camera: CameraModel
@@ -188,6 +189,7 @@ class JointCalibration:
     converged: bool
     seconds: float
     warnings: tuple[str, ...]
+    line_sigma_mm: float = 0.0
 
 
 @dataclass(frozen=True)

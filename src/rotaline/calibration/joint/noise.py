@@ -23,6 +23,8 @@ CAUCHY = 4.0
 KEPT = 0.1
 """Points with a smaller robust weight are outliers (beyond 12 standard deviations)."""
 _MAX_LAG = 60
+_RUN = 24
+_MUCH = 4.0
 _LEAST_SIGMA = 1e-9
 
 
@@ -37,6 +39,7 @@ class Noise:
     table : (4,)   standard deviations of the errors of ``TABLE_ERRORS``: rad, mm, mm, rad
     plate_mm : of the surface of a plate off the plane of its points
     print_mm : (t,)   of the places of a target's points, along x and y
+    frame : (f,)   by how much the stripe of a frame errs more than those of the other frames of its group, >= 1; empty before that is known
     """
 
     scale: Float[np.ndarray, " g"]
@@ -44,6 +47,7 @@ class Noise:
     table: Float[np.ndarray, "4"] = field(default_factory=lambda: np.array([2e-5, 1e-3, 5e-4, 1e-5]))
     plate_mm: float = 2e-3
     print_mm: Float[np.ndarray, " t"] = field(default_factory=lambda: np.zeros(0))
+    frame: Float[np.ndarray, " f"] = field(default_factory=lambda: np.ones(0))
 
     def local_prior(self, n_local: int, on_table: bool) -> Float[np.ndarray, " l"]:
         """One over the standard deviation of each of a frame's own parameters; 0 where nothing is known beforehand."""
@@ -96,6 +100,27 @@ def correlation_length(
             break
         length += 2.0 * rho
     return length
+
+
+def slow_variance(values: Float[np.ndarray, " n"], piece: Int[np.ndarray, " n"]) -> float:
+    """Variance of standardised residuals as their means over runs of neighbours show it; 1 for independent ones, NaN for too few."""
+    limited = np.clip(values, -CAUCHY, CAUCHY)
+    first = np.flatnonzero(np.diff(piece, prepend=piece[0] - 1))
+    run = np.repeat(first, np.diff(np.append(first, len(piece))))
+    _, block = np.unique(np.stack([piece, (np.arange(len(piece)) - run) // _RUN]), axis=1, return_inverse=True)
+    counts = np.bincount(block.ravel())
+    full = counts == _RUN
+    if np.count_nonzero(full) < 4:
+        return float("nan")
+    return float(np.mean(np.bincount(block.ravel(), weights=limited)[full] ** 2) / _RUN)
+
+
+def frame_factor(before: float, variance: float, usual: float) -> float:
+    """How much more a frame errs than the others: it counts only where it is beyond what the frames scatter by chance."""
+    ratio = variance / usual if usual > 0 and np.isfinite(variance) else 1.0
+    if before == 1.0 and ratio < _MUCH:
+        return 1.0
+    return float(max(before * np.sqrt(ratio), 1.0))
 
 
 def update_variances(

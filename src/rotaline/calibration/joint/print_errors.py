@@ -107,7 +107,7 @@ def _turn_of(target: Target, permutation: Int[np.ndarray, " n"]) -> Float[np.nda
 
 def _settle(
     fields: dict[int, list[Float[np.ndarray, "n 2"]]],
-    symmetries: Sequence[tuple[Int[np.ndarray, " n"], Float[np.ndarray, "2 2"]]],
+    symmetries: Sequence[tuple[Int[np.ndarray, " _"], Float[np.ndarray, "2 2"]]],
 ) -> dict[int, int]:
     """For each label the symmetry that makes its residuals most alike to those of the others."""
 
@@ -142,7 +142,7 @@ def print_model(
     layout: Layout,
     prior: Float[np.ndarray, "m c"],
     rows: Sequence[Rows],
-    weights: Sequence[Float[np.ndarray, " n"]],
+    weights: Sequence[Float[np.ndarray, " _"]],
     views: dict[int, PrintView],
     targets: Sequence[Target],
 ) -> PrintModel:

@@ -91,6 +91,7 @@ def to_result(
         converged=found.converged,
         seconds=0.0,
         warnings=(),
+        line_sigma_mm=float(np.sqrt(max(state.line_variance, 0.0))),
     )
     return replace(result, weak_directions=weak_directions(result))
 
@@ -167,7 +168,7 @@ def _groups(setting: Setting, found: Iterated, left_out: HeldOut) -> tuple[Resid
         *((f.name, f.name, f.angle_rad) for f in data.mount_frames),
     ]
     views: list[list[ViewResiduals]] = [[] for _ in data.groups]
-    predicted: list[list[Float[np.ndarray, " n"]]] = [[] for _ in data.groups]
+    predicted: list[list[Float[np.ndarray, " _"]]] = [[] for _ in data.groups]
     for k, frame in enumerate(found.frames):
         name, stripe_name, angle = names[k]
         for g in np.unique(frame.rows.group):

@@ -19,9 +19,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rotaline.calibration.joint.data import JointData, MountFrame, PlateFrame, StripeLine, TableFrame, TargetPoints
+from rotaline.calibration.joint.line_width import centre_shift, crossing
 from rotaline.calibration.joint.rays import RayBundle
 from rotaline.calibration.joint.state import Rigid, State, base_motion, turned_rad
-from rotaline.calibration.joint.surfaces import NONE, assign, by_sizes, surface_names
+from rotaline.calibration.joint.surfaces import NONE, assign, by_sizes, curvature_of, has_axis, surface_names
 from rotaline.calibration.reprojection import projection_jacobians
 from rotaline.geometry.fitting import across
 from rotaline.vision.targets.model import bend_basis
@@ -50,22 +51,27 @@ class Rows:
 
     residuals: Float[np.ndarray, " n"]
     local: Float[np.ndarray, "n l"]
-    common: dict[str, Float[np.ndarray, "n k"]]
+    common: dict[str, Float[np.ndarray, "_ _"]]
     group: Int[np.ndarray, " n"]
     u: Float[np.ndarray, " n"]
     point: Int[np.ndarray, " n"]
     piece: Int[np.ndarray, " n"]
-    place: Float[np.ndarray, "k 2 2"] | None
+    place: Float[np.ndarray, "m 2 2"] | None
 
 
 @dataclass(frozen=True, eq=False)
 class MountPoints:
-    """Where the points of a mount's frame lie: for the report; the rows hold those with a surface (``chosen``), in order."""
+    """Where the points of a mount's frame lie; the rows hold those with a surface (``chosen``), in order.
+
+    ``distances_mm`` are free of the shift that the line's width makes. ``steepness``: ``a`` of :func:`rotaline.calibration.joint.line_width.crossing`.
+    """
 
     chosen: Int[np.ndarray, " k"]
     surface: Int[np.ndarray, " k"]
     points_part: Float[np.ndarray, "k 3"]
     distances_mm: Float[np.ndarray, " k"]
+    width_px: Float[np.ndarray, " k"]
+    steepness: Float[np.ndarray, " k"]
 
 
 def plate_rows(state: State, frame: PlateFrame, pose: Rigid, data: JointData, names: Sequence[str]) -> Rows:
@@ -148,6 +154,13 @@ def mount_rows(
     usable &= np.abs(per_px) > _LEAST_SENSITIVITY * typical
 
     group = mount_group(data, artifact_mount=mount)
+    by_px = np.einsum("nij,nj->ni", bundle.by_pixel, normal_px)
+    length = np.linalg.norm(gradient, axis=1)
+    curvature = curvature_of(artifact, points_part, found.surface)
+    axis_base = np.einsum("nij,j->ni", turns, pose.rotation[:, 2]) if has_axis(artifact) else np.zeros((len(frames), 3))
+    straight = (axis_base @ base.rotation.T)[number]
+    steepness, bend = crossing(rays, by_px, depth, normal_camera, curvature, straight, gradient / length[:, None])
+    shift = centre_shift(steepness, bend)
     out = []
     sheet = _sheet_columns(state, points_camera)
     for f, frame in enumerate(frames):
@@ -161,10 +174,12 @@ def mount_rows(
             "plane": -lever[chosen, None] * sheet[0][chosen] * scale[:, None],
             "curvature": -lever[chosen, None] * sheet[1][chosen] * scale[:, None],
             f"sizes:{group}": by_sizes(artifact, found.surface[chosen]) * scale[:, None],
+            "line": -shift[chosen, None],
         }
+        residuals = found.distance[chosen] * scale - state.line_variance * shift[chosen]
         inside = chosen - int(np.searchsorted(number, f))
         rows = Rows(
-            found.distance[chosen] * scale,
+            residuals,
             local,
             common,
             np.full(len(chosen), frame.stripe.group),
@@ -173,7 +188,15 @@ def mount_rows(
             _pieces(inside, frame.stripe.piece[inside], found.surface[chosen]),
             None,
         )
-        out.append((rows, MountPoints(inside, found.surface[chosen], points_part[chosen], found.distance[chosen])))
+        points = MountPoints(
+            inside,
+            found.surface[chosen],
+            points_part[chosen],
+            residuals * per_px[chosen],
+            width[chosen],
+            steepness[chosen],
+        )
+        out.append((rows, points))
     return out
 
 
@@ -313,7 +336,7 @@ def _joined(target: Rows, stripe: Rows) -> Rows:
 
 def _sheet_distance(
     state: State, points: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+) -> tuple[Float[np.ndarray, " _"], Float[np.ndarray, "n 3"]]:
     """Value and gradient of the function that is 0 on the sheet of light (mm)."""
     plane = state.plane
     assert plane is not None
@@ -330,7 +353,7 @@ def _sheet_distance(
 
 def _meet_sheet(
     state: State, rays: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+) -> tuple[Float[np.ndarray, " _"], Float[np.ndarray, "n 3"]]:
     """Depth at which rays meet the sheet (NaN behind the camera), and its gradient there."""
     plane = state.plane
     assert plane is not None

@@ -30,8 +30,8 @@ class Triangle:
     """
 
     local: Float[np.ndarray, "k l"]
-    common: dict[str, Float[np.ndarray, "k q"]]
-    motions: dict[str, Float[np.ndarray, "6 q"]]
+    common: dict[str, Float[np.ndarray, "_ _"]]
+    motions: dict[str, Float[np.ndarray, "6 _"]]
     rhs: Float[np.ndarray, " k"]
     prior: Float[np.ndarray, " l"]
 
@@ -50,7 +50,7 @@ class Triangle:
 def press(
     rows: Rows,
     weights: Float[np.ndarray, " n"],
-    motions: dict[str, Float[np.ndarray, "6 q"]],
+    motions: dict[str, Float[np.ndarray, "6 _"]],
     prior: Float[np.ndarray, " l"],
 ) -> Triangle:
     """The triangle of a frame's rows; ``weights`` are square roots of weights, rows of weight 0 do not count."""
@@ -76,8 +76,8 @@ class Eliminated:
     residuals.
     """
 
-    own: tuple[Float[np.ndarray, "l c"], ...]
-    rests: tuple[Float[np.ndarray, "k c"], ...]
+    own: tuple[Float[np.ndarray, "_ _"], ...]
+    rests: tuple[Float[np.ndarray, "_ _"], ...]
 
 
 def eliminate(triangles: Sequence[Triangle], layout: Layout) -> Eliminated:
@@ -120,13 +120,13 @@ class Solution:
     step: Float[np.ndarray, " p"]
     factor: Float[np.ndarray, "p p"]
     covariance: Float[np.ndarray, "p p"]
-    own_steps: tuple[Float[np.ndarray, " l"], ...]
-    own_variances: tuple[Float[np.ndarray, " l"], ...]
+    own_steps: tuple[Float[np.ndarray, " _"], ...]
+    own_variances: tuple[Float[np.ndarray, " _"], ...]
     squares: float
 
 
 def global_factor(
-    rests: Sequence[Float[np.ndarray, "k c"]], prior: Float[np.ndarray, "m c"]
+    rests: Sequence[Float[np.ndarray, "_ _"]], prior: Float[np.ndarray, "m c"]
 ) -> Float[np.ndarray, "c c"]:
     """R of all rows for the global parameters and the residuals together."""
     stacked = np.vstack([*rests, prior])
@@ -157,8 +157,8 @@ def solve(eliminated: Eliminated, prior: Float[np.ndarray, "m c"]) -> Solution:
 
 
 def back_substitute(
-    own: Sequence[Float[np.ndarray, "l c"]], step: Float[np.ndarray, " p"], covariance: Float[np.ndarray, "p p"]
-) -> tuple[tuple[Float[np.ndarray, " l"], ...], tuple[Float[np.ndarray, " l"], ...]]:
+    own: Sequence[Float[np.ndarray, "_ _"]], step: Float[np.ndarray, " p"], covariance: Float[np.ndarray, "p p"]
+) -> tuple[tuple[Float[np.ndarray, " _"], ...], tuple[Float[np.ndarray, " _"], ...]]:
     """Each frame's own parameters and their variances, from the global ones."""
     steps, variances = [], []
     for rows in own:

@@ -98,6 +98,7 @@ class State:
     artifacts : with their sizes as estimated
     bends : (3,) of each target, mm
     pitch_errors : of each target, true over stated pitch minus 1
+    line_variance : square of the standard deviation of the laser line, mm^2
     """
 
     camera: CameraModel
@@ -115,6 +116,7 @@ class State:
     artifacts: tuple[Artifact, ...]
     bends: tuple[Float[np.ndarray, "3"], ...]
     pitch_errors: tuple[float, ...]
+    line_variance: float = 0.0
 
     def mount_pivot(self, mount: int) -> Float[np.ndarray, "3"]:
         """The point of the table frame about which a mount's pose is counted."""
@@ -184,6 +186,7 @@ class State:
             angle_error=AngleError(self.angle_error.cos_rad + float(cos), self.angle_error.sin_rad + float(sin)),
             run_out=self.run_out + part("run-out", 2),
             wobble=self.wobble + part("wobble", 2),
+            line_variance=self.line_variance + float(part("line", 1)[0]),
             boards=tuple(
                 pose.moved(part(f"board:{k}", 6), pose.apply(board_pivots[k][None])[0])
                 for k, pose in enumerate(self.boards)
@@ -218,11 +221,11 @@ def turned_rad(state: State, read_rad: float) -> float:
 
 def table_motions(
     state: State, read_rad: float, layout: Layout, pose_slot: str, pivot_table: Float[np.ndarray, "3"]
-) -> dict[str, Float[np.ndarray, "6 k"]]:
+) -> dict[str, Float[np.ndarray, "6 _"]]:
     """How the global parameters move what stands on the table in one frame: (turn about x, y, z; shift) of the base frame."""
     angle = turned_rad(state, read_rad)
     against = turn_z(-angle)[:2, :2]
-    motions: dict[str, Float[np.ndarray, "6 k"]] = {}
+    motions: dict[str, Float[np.ndarray, "6 _"]] = {}
     motions["axis"] = np.eye(6)[:, [0, 1, 3, 4]]
     about_z = np.zeros((6, 2))
     about_z[2] = state.turn_sense * np.array([np.cos(read_rad), np.sin(read_rad)])

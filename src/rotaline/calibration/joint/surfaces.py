@@ -157,3 +157,19 @@ def assign(
     surface = np.where(any_ok, best, NONE)
     distance = np.where(any_ok, all_distances[best, rows], np.nan)
     return OnSurface(surface, distance, np.where(any_ok[:, None], np.stack(normals)[best, rows], np.nan))
+
+
+def has_axis(artifact: Artifact) -> bool:
+    """Whether its sides are straight along an axis."""
+    return not isinstance(artifact, KnownSphere)
+
+
+def curvature_of(
+    artifact: Artifact, points_part: Float[np.ndarray, "n 3"], surface: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Curvature of the surface at each point, across its axis, 1/mm; 0 on discs and on no surface."""
+    if isinstance(artifact, KnownSphere):
+        return np.asarray(np.where(surface == NONE, 0.0, 2.0 / artifact.diameter))
+    round_ones = np.array([name.endswith("side") for name in surface_names(artifact)] + [False])
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.where(round_ones[surface], 1.0 / np.hypot(points_part[:, 0], points_part[:, 1]), 0.0))
