@@ -51,3 +51,14 @@ class SessionObservations:
     plate_views: tuple[StripeView, ...]
     table_views: tuple[TargetView, ...]
     mounts: tuple[MountObservation, ...]
+
+    @property
+    def roles(self) -> frozenset[str]:
+        """The roles of captures of which something was seen."""
+        parts = {
+            "camera": self.camera_views,
+            "laser-plane": self.plate_views,
+            "axis": self.table_views,
+            "artifact": self.mounts,
+        }
+        return frozenset(role for role, part in parts.items() if part)

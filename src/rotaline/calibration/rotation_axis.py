@@ -47,7 +47,7 @@ class AxisOptions:
         default=None,
         metadata={
             "help": "circles: centres of the circles of the corners, as in the article; joint: one axis for the images of all frames; "
-            "default: circles where an artefact refines the axis afterwards, joint where this axis is final"
+            "default: circles where the article's way refines the axis with an artefact afterwards, else joint"
         },
     )
     min_range_deg: float = field(

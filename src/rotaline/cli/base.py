@@ -1,7 +1,7 @@
 """The application that the commands register with, its exit codes, and the options that several commands share."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -39,6 +39,15 @@ Setting = Annotated[
     list[str] | None,
     typer.Option(
         "--option", metavar="STAGE.NAME=VALUE", help="One option, for example stripe.method=steger; repeatable."
+    ),
+]
+Method = Annotated[
+    Literal["joint", "article"] | None,
+    typer.Option(
+        "--method",
+        help="How to calibrate: joint, one estimate from all observations; article, one refinement after the other, with the options "
+        "of the article as defaults.",
+        show_default=False,
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Do every stage again, also those that did not change.")]

@@ -16,6 +16,7 @@ from rotaline.cli.base import (
     CalibrationOption,
     Force,
     Json,
+    Method,
     OptionsFile,
     Out,
     Quiet,
@@ -79,6 +80,7 @@ def run(
     out: Out = None,
     options: OptionsFile = None,
     option: Setting = None,
+    method: Method = None,
     calibration: CalibrationOption = None,
     force: Force = False,
     as_json: Json = False,
@@ -93,7 +95,7 @@ def run(
     from rotaline.io.calibration_file import read_calibration
 
     given = read_calibration(calibration) if calibration is not None else None
-    job = _open_run(session, out, options, option, force, quiet, verbose)
+    job = open_run(session, out, options, option, method, force, quiet, verbose)
     _finish(job.everything(given), as_json)
 
 
@@ -103,13 +105,14 @@ def calibrate(
     out: Out = None,
     options: OptionsFile = None,
     option: Setting = None,
+    method: Method = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Calibrate only: camera, laser plane, rotation axis; writes calibration.json."""
-    job = _open_run(session, out, options, option, force, quiet, verbose)
+    job = open_run(session, out, options, option, method, force, quiet, verbose)
     _, content = job.calibrate()
     path = job.folder / "calibration.json"
     if as_json:
@@ -131,13 +134,14 @@ def scan(
     out: Out = None,
     options: OptionsFile = None,
     option: Setting = None,
+    method: Method = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Scan captures with a calibration: writes clouds/<capture>.ply and meshes/<capture>.ply and .stl."""
-    job = _open_run(session, out, options, option, force, quiet, verbose)
+    job = open_run(session, out, options, option, method, force, quiet, verbose)
     content = _calibration_of(job, calibration)
     clouds = job.scan(content, captures or ())
     job.surfaces(clouds, content)
@@ -178,6 +182,7 @@ def measure(
     out: Out = None,
     options: OptionsFile = None,
     option: Setting = None,
+    method: Method = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -199,7 +204,7 @@ def measure(
     if source.is_dir():
         if request is not None and not capture:
             raise SessionError("--feature needs --capture FOLDER for a session.")
-        job = _open_run(source, out, options, option, force, quiet, verbose)
+        job = open_run(source, out, options, option, method, force, quiet, verbose)
         content = _calibration_of(job, calibration)
         clouds = job.scan(content, (capture,) if capture else ())
         entries, initial = job.measure(clouds, content, (request,) if request is not None else ())
@@ -213,7 +218,7 @@ def measure(
     from rotaline.pipeline.options import read_options
     from rotaline.pipeline.parts import measure_points
 
-    entry = measure_points(source, request, read_options(options, tuple(option or ())).measure)
+    entry = measure_points(source, request, read_options(options, tuple(option or ()), method).measure)
     if entry.measurement is None:
         raise MeasurementError(f"{source}: {entry.failure}")
     _show_entries((entry,), (), as_json)
@@ -249,26 +254,28 @@ def demo(
         observer.stage(f"Session in {folder}", stored=True)
     else:
         simulate(read_preset("demo"), folder, observer)
-    job = _open_run(folder, None, None, None, False, quiet, False)
+    job = open_run(folder, None, None, None, None, False, quiet, False)
     _finish(job.everything(), False)
 
 
-def _open_run(
+def open_run(
     session: Path,
     out: Path | None,
     options: Path | None,
     settings: list[str] | None,
+    method: Method,
     force: bool,
     quiet: bool,
     verbose: bool,
 ) -> "Run":
+    """A run over a session with the options of the command line; its log stands in the folder of results."""
     from rotaline.cli.console import ConsoleObserver
     from rotaline.io.session import read_session
     from rotaline.pipeline.options import read_options
     from rotaline.pipeline.run import Run, results_folder
 
     content = read_session(session)
-    chosen = read_options(options, tuple(settings or ()))
+    chosen = read_options(options, tuple(settings or ()), method)
     folder = results_folder(session, out)
     job = Run(
         content, folder, chosen, ConsoleObserver(0 if quiet else 1), force, on_ready=lambda: open_log(folder, verbose)

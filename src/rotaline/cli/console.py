@@ -6,10 +6,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
+from rich.padding import Padding
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
+from rotaline.calibration.verdict.model import Level, Verdict
 from rotaline.io.calibration_file import CalibrationFile
+from rotaline.io.report.contents import STEP_TITLES
+from rotaline.io.report.sections.verdict import LEVEL_TITLES, figure_text, gain_text, nothing_found
 from rotaline.io.results import MeasurementEntry
 from rotaline.io.session import Problem, Session
 from rotaline.pipeline.observer import LOG
@@ -158,3 +163,33 @@ def show_calibration(content: CalibrationFile, path: Path) -> None:
         )
     console.print(table)
     console.print(f"Calibration: {path}", markup=False, soft_wrap=True)
+
+
+_LEVEL_STYLES: dict[Level, str] = {"pass": "green", "doubtful": "yellow", "fail": "red", "none": "dim"}
+
+
+def show_verdict(verdict: Verdict) -> None:
+    """The badge with its sentence, the steps, and what to do; wrapped at the width of the terminal."""
+    console = Console(highlight=False)
+    badge = Text(f" {LEVEL_TITLES[verdict.level].upper()} ", style=f"bold reverse {_LEVEL_STYLES[verdict.level]}")
+    console.print(Text.assemble(badge, " ", verdict.text))
+    console.print()
+    table = Table("step", "verdict", "what the data say", box=None, padding=(0, 2, 0, 0), header_style="bold")
+    for step in verdict.steps:
+        said = Text(step.text)
+        if step.figures:
+            said.append("\n" + "; ".join(figure_text(f) for f in step.figures), style="dim")
+        level = Text(LEVEL_TITLES[step.level].lower(), style=_LEVEL_STYLES[step.level])
+        table.add_row(Text(STEP_TITLES.get(step.step, step.step)), level, said)
+    console.print(table)
+    console.print()
+    console.print(Text("What to do" + (", most useful first" if len(verdict.findings) > 1 else ""), style="bold"))
+    for i, finding in enumerate(verdict.findings, 1):
+        title = STEP_TITLES.get(finding.step, finding.step)
+        console.print(Text(f"{i}. {finding.action}", style="bold"))
+        why = Text.assemble(
+            (title, _LEVEL_STYLES[finding.level]), ": ", " ".join(filter(None, (finding.text, gain_text(finding.gain))))
+        )
+        console.print(Padding(why, (0, 0, 0, 3)))
+    if not verdict.findings:
+        console.print(Text(nothing_found(verdict.level)))

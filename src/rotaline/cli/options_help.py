@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from rotaline.cli.base import app
+from rotaline.cli.base import Method, app
 
 
 class StageCommand(TyperCommand):
@@ -32,12 +32,13 @@ def print_options(
     file: Annotated[
         Path | None, typer.Argument(metavar="[FILE]", help="Write to this file instead of printing.")
     ] = None,
+    method: Method = None,
 ) -> None:
     """Every option of every stage with its default and meaning, as the TOML file that --options reads."""
     from rotaline.io.files import whole_file
     from rotaline.pipeline.options import options_toml
 
-    text = options_toml()
+    text = options_toml(method)
     if file is None:
         typer.echo(text, nl=False)
         return

@@ -1,20 +1,23 @@
 """``calibration.json``: the calibrated system, for people, for other programs and for further sessions.
 
 Frames: everything in the camera frame (x right, y down, z forward; mm). ``laser_plane_camera`` is normal . X + offset = 0.
-``turn_sense`` is +1 if ``angle_deg`` is right-handed about ``rotation_axis_camera.direction``. Stages that were not done are
-null; ``quality`` has an object for each stage that was.
+``laser_curvature`` adds (uu u^2 + 2 uv u v + vv v^2) / 2 to that, where u, v are the coordinates along ``u_direction`` and
+``v_direction`` from ``origin``. ``line_sigma_mm`` is the standard deviation of the laser line across the sheet, 0 where it is not known. ``turn_sense`` is +1 if ``angle_deg`` is right-handed about ``rotation_axis_camera.direction``;
+``angle_error``: the table has turned by read + cos cos(read) + sin sin(read), rad. ``covariance`` is that of small changes of all
+these, with the words that define each. Stages that were not done are null; ``quality`` has an object for each stage that was.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from rotaline.calibration.model import SystemCalibration
+from rotaline.calibration.model import AngleError, SystemCalibration, SystemCovariance
 from rotaline.errors import SessionError
-from rotaline.geometry.primitives import Line, Plane, unit
+from rotaline.geometry.fitting import across
+from rotaline.geometry.primitives import Line, Plane, SheetCurvature, unit
 from rotaline.io.files import read_json, write_json
 from rotaline.vision.camera import DISTORTION_NAMES, CameraModel
 
@@ -22,7 +25,30 @@ FORMAT = "rotaline calibration"
 VERSION = 1
 
 _Vector = tuple[float, float, float]
+_Missing = tuple[None, None, None]
 _Number = Annotated[float, Field(allow_inf_nan=False)]
+
+_PLANE_TURN = "normal . X + offset grows by this times (X - plane_pivot) . {} of the plane"
+_AXIS_TURN = "the axis and its frame turn about {} of the base frame, right-handed, about axis_pivot"
+_AXIS_SHIFT = "the axis and its frame move along {} of the base frame"
+_CURVATURE = "coefficient {} of laser_curvature"
+_PARAMETERS: dict[str, tuple[str, str]] = {
+    **dict.fromkeys(("fx", "fy", "cx", "cy"), ("px", "as in camera")),
+    **dict.fromkeys(DISTORTION_NAMES, ("1", "as in camera.distortion")),
+    "plane_turn_1": ("rad", _PLANE_TURN.format("u_direction")),
+    "plane_turn_2": ("rad", _PLANE_TURN.format("v_direction")),
+    "plane_offset": ("mm", "normal . X + offset grows by this"),
+    "curvature_uu": ("1/mm", _CURVATURE.format("uu")),
+    "curvature_uv": ("1/mm", _CURVATURE.format("uv")),
+    "curvature_vv": ("1/mm", _CURVATURE.format("vv")),
+    "axis_turn_x": ("rad", _AXIS_TURN.format("x")),
+    "axis_turn_y": ("rad", _AXIS_TURN.format("y")),
+    "axis_shift_x": ("mm", _AXIS_SHIFT.format("x")),
+    "axis_shift_y": ("mm", _AXIS_SHIFT.format("y")),
+    "angle_cos": ("rad", "angle_error.cos"),
+    "angle_sin": ("rad", "angle_error.sin"),
+}
+"""Units and meanings of the parameters of a covariance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +63,27 @@ class CalibrationFile:
     table_seen: bool
     quality: dict[str, dict[str, Any]]
     session: str = ""
+    laser_curvature: SheetCurvature | None = None
+    angle_error: AngleError = field(default_factory=AngleError)
+    covariance: SystemCovariance | None = None
+    line_sigma_mm: float = 0.0
 
     def system(self, initial_axis: bool = False) -> SystemCalibration | None:
-        """What a scan needs, or None if a part is missing."""
+        """What a scan needs, or None if a part is missing. The initial axis knows no angle error, and has no covariance."""
         axis = self.rotation_axis_initial_camera if initial_axis else self.rotation_axis_camera
         if self.camera is None or self.laser_plane_camera is None or axis is None:
             return None
-        return SystemCalibration(self.camera, self.laser_plane_camera, axis, self.turn_sense, self.table_seen)
+        return SystemCalibration(
+            self.camera,
+            self.laser_plane_camera,
+            axis,
+            self.turn_sense,
+            self.table_seen,
+            laser_curvature=self.laser_curvature,
+            angle_error=AngleError() if initial_axis else self.angle_error,
+            covariance=None if initial_axis else self.covariance,
+            line_sigma_mm=self.line_sigma_mm,
+        )
 
 
 class _Strict(BaseModel):
@@ -69,12 +109,35 @@ class _Axis(_Strict):
     direction: _Vector
 
 
+class _Curvature(_Strict):
+    origin: _Vector
+    uu: _Number
+    uv: _Number
+    vv: _Number
+
+
+class _AngleError(_Strict):
+    cos: _Number
+    sin: _Number
+
+
+class _Covariance(_Strict):
+    names: tuple[str, ...]
+    matrix: tuple[tuple[_Number, ...], ...]
+    plane_pivot_camera: _Vector | _Missing
+    axis_pivot_camera: _Vector | _Missing
+
+
 class _Document(_Strict):
     version: int
     camera: _Camera | None
     laser_plane_camera: _Plane | None
+    laser_curvature: _Curvature | None = None
     rotation_axis_camera: _Axis | None
     rotation_axis_initial_camera: _Axis | None = None
+    angle_error: _AngleError | None = None
+    covariance: _Covariance | None = None
+    line_sigma_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
     turn_sense: int | None = None
     table_seen: bool = False
     quality: dict[str, dict[str, Any]] = Field(default_factory=dict)
@@ -100,10 +163,14 @@ def write_calibration(path: Path, content: CalibrationFile) -> None:
             "distortion": {name: getattr(camera, name) for name in DISTORTION_NAMES},
         },
         "laser_plane_camera": None if plane is None else {"normal": plane.normal, "offset": plane.offset},
+        "laser_curvature": _curvature_json(plane, content.laser_curvature),
+        "line_sigma_mm": content.line_sigma_mm,
         "rotation_axis_camera": _axis_json(content.rotation_axis_camera),
         "rotation_axis_initial_camera": _axis_json(content.rotation_axis_initial_camera),
         "turn_sense": None if content.rotation_axis_camera is None else content.turn_sense,
+        "angle_error": {"cos": content.angle_error.cos_rad, "sin": content.angle_error.sin_rad},
         "table_seen": content.table_seen,
+        "covariance": _covariance_json(content.covariance),
         "quality": content.quality,
     }
     write_json(path, document)
@@ -111,6 +178,28 @@ def write_calibration(path: Path, content: CalibrationFile) -> None:
 
 def _axis_json(axis: Line | None) -> dict[str, Any] | None:
     return None if axis is None else {"point": axis.point, "direction": axis.direction}
+
+
+def _curvature_json(plane: Plane | None, curvature: SheetCurvature | None) -> dict[str, Any] | None:
+    if plane is None or curvature is None:
+        return None
+    u_direction, v_direction = across(plane.normal)
+    uu, uv, vv = curvature.coefficients
+    directions = {"u_direction": u_direction, "v_direction": v_direction}
+    return {"origin": curvature.origin, **directions, "uu": uu, "uv": uv, "vv": vv}
+
+
+def _covariance_json(covariance: SystemCovariance | None) -> dict[str, Any] | None:
+    if covariance is None:
+        return None
+    return {
+        "names": covariance.names,
+        "units": [_PARAMETERS[name][0] for name in covariance.names],
+        "meaning": {name: _PARAMETERS[name][1] for name in covariance.names},
+        "plane_pivot_camera": covariance.plane_pivot_camera,
+        "axis_pivot_camera": covariance.axis_pivot_camera,
+        "matrix": covariance.matrix,
+    }
 
 
 def read_calibration(path: Path) -> CalibrationFile:
@@ -153,6 +242,10 @@ def read_calibration(path: Path) -> CalibrationFile:
         table_seen=document.table_seen,
         quality=document.quality,
         session=document.session,
+        laser_curvature=_curvature(document.laser_curvature),
+        angle_error=_angle_error(document.angle_error),
+        covariance=_covariance(path, document),
+        line_sigma_mm=document.line_sigma_mm,
     )
 
 
@@ -163,3 +256,34 @@ def _plane(document: _Plane) -> Plane:
 
 def _line(document: _Axis | None) -> Line | None:
     return None if document is None else Line(np.array(document.point), unit(np.array(document.direction)))
+
+
+def _curvature(document: _Curvature | None) -> SheetCurvature | None:
+    if document is None:
+        return None
+    return SheetCurvature(np.array(document.origin), (document.uu, document.uv, document.vv))
+
+
+def _angle_error(document: _AngleError | None) -> AngleError:
+    return AngleError() if document is None else AngleError(document.cos, document.sin)
+
+
+def _covariance(path: Path, document: _Document) -> SystemCovariance | None:
+    covariance = document.covariance
+    if covariance is None:
+        return None
+    known = [name for name in _PARAMETERS if document.laser_curvature is not None or not name.startswith("curvature")]
+    unknown = set(covariance.names) - set(known)
+    if unknown:
+        raise SessionError(
+            f"{path}, covariance.names: found {', '.join(sorted(unknown))}, expected some of {', '.join(known)}."
+        )
+    n = len(covariance.names)
+    if [len(row) for row in covariance.matrix] != [n] * n:
+        raise SessionError(f"{path}, covariance.matrix: expected {n} rows of {n} numbers, one for each of the names.")
+    return SystemCovariance(
+        covariance.names,
+        np.array(covariance.matrix).reshape(n, n),
+        np.array(covariance.plane_pivot_camera, dtype=float),
+        np.array(covariance.axis_pivot_camera, dtype=float),
+    )

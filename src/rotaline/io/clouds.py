@@ -18,23 +18,30 @@ _FIELDS = (
     ("intensity", "f4"),
     ("angle_deg", "f4"),
     ("frame", "i4"),
-    ("u_mm", "f4"),
+    ("u_noise", "f4"),
+    ("u_calibration", "f4"),
 )
 _PLY_NAMES = {"f4": "float", "i4": "int"}
 
 
 def write_cloud(path: Path, cloud: PointCloud) -> None:
-    """Write a cloud as binary PLY: x, y, z (mm), intensity, angle_deg (right-handed about z), frame, u_mm (k = 1)."""
+    """Write a cloud as binary PLY: x, y, z (mm), intensity, angle_deg (right-handed about z), frame, u_noise, u_calibration.
+
+    ``u_noise`` and ``u_calibration`` are standard uncertainties (k = 1, mm) from the stripe's noise and from the calibration; NaN
+    where not known.
+    """
     data = np.empty(len(cloud), dtype=[(name, "<" + kind) for name, kind in _FIELDS])
     data["x"], data["y"], data["z"] = cloud.points_table.T
     data["intensity"] = cloud.intensity
     data["angle_deg"] = np.degrees(cloud.angle_rad)
     data["frame"] = cloud.frame
-    data["u_mm"] = cloud.u_mm
+    data["u_noise"] = cloud.u_mm
+    data["u_calibration"] = cloud.u_calibration_mm
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment rotaline point cloud; table frame, z on the rotation axis; mm; u_mm: standard uncertainty, stripe noise only",
+        "comment rotaline point cloud; table frame, z on the rotation axis; mm",
+        "comment standard uncertainties (k = 1), mm: u_noise from the stripe, u_calibration common to many points",
         f"element vertex {len(cloud)}",
         *(f"property {_PLY_NAMES[kind]} {name}" for name, kind in _FIELDS),
         "end_header\n",

@@ -10,6 +10,10 @@ from rotaline.metrology.model import FeatureMeasurement
 class MeasurementEntry:
     """One feature that was asked for in one capture.
 
+    In the file, ``uncertainty`` (standard, k = 1, mm) has the keys of ``value`` and combines ``uncertainty_scatter`` and
+    ``uncertainty_calibration``; the latter is empty where the calibration has no covariance. ``line_width_correction`` (mm) is
+    what ``value`` holds beyond the fit, because the laser line has a width.
+
     ``measurement`` is None where the feature was not found; then ``failure`` says why and what to do.
     ``reference`` holds the values of a better instrument, mm, with keys of ``measurement.value``.
     """
@@ -38,6 +42,9 @@ class MeasurementEntry:
         return entry | {
             "value": m.value,
             "uncertainty": m.uncertainty,
+            "uncertainty_scatter": m.u_scatter,
+            "uncertainty_calibration": m.u_calibration,
+            "line_width_correction": m.line_width_correction,
             "reference": self.reference,
             "error": self.error,
             "n_points": m.n_points,

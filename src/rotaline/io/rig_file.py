@@ -22,6 +22,7 @@ T = TypeVar("T")
 PRESETS = ("article", "webcam", "high-resolution", "demo")
 
 _TARGET_ROLES = ("camera", "laser-plane", "axis")
+_ARTIFACT_KINDS = ("stepped-cylinder", "cylinder", "sphere")
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +216,12 @@ def _contradictions(tables: RigTables) -> list[tuple[Place, str]]:
                 f"found '{measurement.capture}', expected the folder of a capture with role scan or artifact: {known}."
             )
             problems.append((("measurements", index, "capture"), what))
+        elif measurement.check and found[0].role == "artifact":
+            what = f"'{measurement.capture}' takes part in the calibration, so it cannot check it; expected a capture with role scan."
+            problems.append((("measurements", index, "check"), what))
+        elif measurement.check and measurement.reference is None and measurement.feature in ("plane", "step"):
+            what = f"a check of a {measurement.feature} needs a reference; state it."
+            problems.append((("measurements", index, "check"), what))
     return problems
 
 
@@ -231,8 +238,9 @@ def _capture_contradictions(capture: CaptureTable, tables: RigTables) -> list[tu
                 f"found {found}; role '{capture.role}' needs a name under [{needed}s]: {', '.join(names) or 'none'}.",
             )
         )
-    elif capture.role == "artifact" and tables.parts[name].kind != "stepped-cylinder":
-        problems.append((needed, f"'{name}' is a {tables.parts[name].kind}; role 'artifact' needs a stepped-cylinder."))
+    elif capture.role == "artifact" and tables.parts[name].kind not in _ARTIFACT_KINDS:
+        expected = "a stepped-cylinder, cylinder or sphere"
+        problems.append((needed, f"'{name}' is a {tables.parts[name].kind}; role 'artifact' needs {expected}."))
     turning = ("from_deg", "to_deg", "step_deg", "frames", "shuffle")
     unfit = {
         "camera": (other, *turning, "laser_off_frames", "mount", "exposure_on_ms", "ambient_on_fraction"),

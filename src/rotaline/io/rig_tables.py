@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, Strict
 
+from rotaline.geometry.primitives import KnownCylinder, KnownSphere, SteppedCylinder
+
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -189,6 +191,9 @@ class _ExactPartTable(_PartTable):
     form_error_phase_deg: Number = key(0.0, "its phase")
 
 
+_TOLERANCE = "as an artefact: how far each size may be from the true one, as session.toml states it"
+
+
 class _EdgedPartTable(_ExactPartTable):
     chamfer_mm: NotNegative = key(0.0, "width of the chamfers on its convex edges, 45 deg")
 
@@ -198,6 +203,11 @@ class SphereTable(_ExactPartTable):
 
     kind: Literal["sphere"] = key(..., '"sphere"')
     diameter_mm: Positive = key(..., "diameter")
+    tolerance_mm: NotNegative = key(0.0, _TOLERANCE)
+
+    def artifact(self) -> KnownSphere:
+        """What a session states about it in role artifact."""
+        return KnownSphere(self.diameter_mm, self.tolerance_mm)
 
 
 class CylinderTable(_EdgedPartTable):
@@ -206,6 +216,11 @@ class CylinderTable(_EdgedPartTable):
     kind: Literal["cylinder"] = key(..., '"cylinder"')
     diameter_mm: Positive = key(..., "diameter")
     height_mm: Positive = key(..., "height")
+    tolerance_mm: NotNegative = key(0.0, _TOLERANCE)
+
+    def artifact(self) -> KnownCylinder:
+        """What a session states about it in role artifact."""
+        return KnownCylinder(self.diameter_mm, self.height_mm, self.tolerance_mm)
 
 
 class SteppedCylinderTable(_EdgedPartTable):
@@ -214,6 +229,11 @@ class SteppedCylinderTable(_EdgedPartTable):
     kind: Literal["stepped-cylinder"] = key(..., '"stepped-cylinder"')
     diameters_mm: Lengths = key(..., "small (upper), large (lower)")
     heights_mm: Lengths = key(..., "small (upper), large (lower)")
+    tolerance_mm: NotNegative = key(0.0, _TOLERANCE)
+
+    def artifact(self) -> SteppedCylinder:
+        """What a session states about it in role artifact."""
+        return SteppedCylinder(*self.diameters_mm, *self.heights_mm, self.tolerance_mm)
 
 
 class GrooveTable(_EdgedPartTable):
@@ -295,7 +315,9 @@ class CaptureTable(Table):
         ..., "camera, laser-plane, axis, artifact or scan"
     )
     target: str | None = key(None, "a name under [targets]; roles camera, laser-plane and axis")
-    part: str | None = key(None, "a name under [parts]; roles artifact (a stepped cylinder) and scan")
+    part: str | None = key(
+        None, "a name under [parts]; roles artifact (a stepped cylinder, cylinder or sphere) and scan"
+    )
     views: Annotated[int, Field(ge=1, le=1000)] | None = key(
         None, "poses of the target, drawn so that they cover the view (camera: 20) or the sheet (laser-plane: 10)"
     )
@@ -319,6 +341,7 @@ class MeasurementTable(Table):
     reference: dict[Annotated[str, Field(pattern=r"^\w+_mm$")], Number] | None = key(
         None, "what a better instrument found, e.g. { diameter_mm = 28.475 }; absent: the true sizes of the part"
     )
+    check: bool = key(False, "the reference is used to judge the calibration; captures with role scan only")
 
 
 class RigTables(Table):

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rotaline.errors import RigError
-from rotaline.geometry.primitives import Plane, SteppedCylinder, unit
+from rotaline.geometry.primitives import Artifact, Plane, SteppedCylinder, unit
 from rotaline.io.rig_tables import (
     BlockTable,
     CameraTable,
@@ -299,8 +299,11 @@ def plan_of(tables: RigTables, rig: Rig, seed: int, folder: Path) -> SessionPlan
     """
     plates = {name: _named(f"targets.{name}", plate_of, table) for name, table in tables.targets.items()}
     shapes = {name: _named(f"parts.{name}", shape_of, table, folder) for name, table in tables.parts.items()}
-    targets: dict[str, Target | SteppedCylinder] = {name: plate.target for name, plate in plates.items()}
-    targets |= {name: shape.artifact for name, shape in shapes.items() if isinstance(shape, SteppedRod)}
+    targets: dict[str, Target | Artifact] = {name: plate.target for name, plate in plates.items()}
+    for name in (c.part for c in tables.captures if c.role == "artifact"):
+        part = tables.parts[name or ""]
+        assert isinstance(part, SphereTable | CylinderTable | SteppedCylinderTable)
+        targets[name or ""] = part.artifact()
     captures = tuple(_capture_of(c, rig, plates, shapes, seed + 1000 * i) for i, c in enumerate(tables.captures))
     measurements = tuple(_measurement_of(m, tables, shapes) for m in tables.measurements)
     return SessionPlan(targets, captures, measurements, tables.session.image_format, seed)
@@ -390,4 +393,4 @@ def _measurement_of(table: MeasurementTable, tables: RigTables, shapes: dict[str
         (part,) = {c.part for c in tables.captures if c.folder == table.capture}
         sizes = shapes[part or ""].sizes()
         reference = {name: sizes[name] for name in _REFERENCES.get(table.feature, ()) if name in sizes}
-    return MeasurementPlan(table.capture, table.feature, reference)
+    return MeasurementPlan(table.capture, table.feature, reference, table.check)

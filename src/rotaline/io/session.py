@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from rotaline.calibration.speckle_limit import LaserOptics
 from rotaline.errors import SessionError
-from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.geometry.primitives import Artifact
 from rotaline.io.session_file import SESSION_FILE, MeasurementRequest, SessionFile, parse_session_file
 from rotaline.vision.images import image_size
 from rotaline.vision.targets.model import Target
@@ -55,7 +56,7 @@ class Capture:
     folder: str
     role: str
     target_name: str
-    target: Target | SteppedCylinder | None
+    target: Target | Artifact | None
     frames: tuple[Frame, ...]
 
     @property
@@ -80,14 +81,15 @@ class Capture:
 
 @dataclass(frozen=True)
 class Session:
-    """A session as read; ``image_size`` is (width, height) of all its frames."""
+    """A session as read; ``image_size`` is (width, height) of all its frames; ``optics`` is None where they are not stated."""
 
     path: Path
-    targets: dict[str, Target | SteppedCylinder]
+    targets: dict[str, Target | Artifact]
     captures: tuple[Capture, ...]
     measurements: tuple[MeasurementRequest, ...]
     image_size: tuple[int, int]
     problems: tuple[Problem, ...] = field(default=())
+    optics: LaserOptics | None = None
 
     def in_role(self, role: str) -> tuple[Capture, ...]:
         """The captures of one role, in the order of the file."""
@@ -125,7 +127,8 @@ def inspect_session(path: Path) -> tuple[Session | None, tuple[Problem, ...]]:
         return None, tuple(problems)
     size = Counter(sizes.values()).most_common(1)[0][0]
     measurements = tuple(m for m in content.measurements if m.capture in {c.folder for c in captures})
-    return Session(path, content.targets, tuple(captures), measurements, size, tuple(problems)), tuple(problems)
+    found = tuple(problems)
+    return Session(path, content.targets, tuple(captures), measurements, size, found, content.optics), found
 
 
 def read_session(path: Path) -> Session:

@@ -2,13 +2,15 @@
 
 import re
 import tomllib
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, ValidationError
 
+from rotaline.calibration.speckle_limit import LaserOptics
 from rotaline.errors import SessionError
-from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.geometry.primitives import Artifact, KnownCylinder, KnownSphere, SteppedCylinder
 from rotaline.io.toml_file import where
 from rotaline.metrology.model import Region
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target
@@ -16,6 +18,7 @@ from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, T
 SESSION_FILE = "session.toml"
 
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Tolerance = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=2)]
 Feature = Literal["sphere", "cylinder", "plane", "step", "groove", "stepped-cylinder"]
 
@@ -58,9 +61,36 @@ class _SteppedCylinderTable(_Table):
     kind: Literal["stepped-cylinder"]
     diameters: tuple[Length, Length]
     heights: tuple[Length, Length]
+    tolerance: Tolerance = 0.0
 
     def value(self) -> SteppedCylinder:
-        return SteppedCylinder(*self.diameters, *self.heights)
+        return SteppedCylinder(*self.diameters, *self.heights, self.tolerance)
+
+
+class _CylinderTable(_Table):
+    kind: Literal["cylinder"]
+    diameter: Length
+    height: Length | None = None
+    tolerance: Tolerance = 0.0
+
+    def value(self) -> KnownCylinder:
+        return KnownCylinder(self.diameter, self.height, self.tolerance)
+
+
+class _SphereTable(_Table):
+    kind: Literal["sphere"]
+    diameter: Length
+    tolerance: Tolerance = 0.0
+
+    def value(self) -> KnownSphere:
+        return KnownSphere(self.diameter, self.tolerance)
+
+
+_KINDS = ("checkerboard", "dots", "charuco", "stepped-cylinder", "cylinder", "sphere")
+_TargetTable = Annotated[
+    _CheckerboardTable | _DotsTable | _CharucoTable | _SteppedCylinderTable | _CylinderTable | _SphereTable,
+    Field(discriminator="kind"),
+]
 
 
 class CaptureRequest(_Table):
@@ -72,7 +102,10 @@ class CaptureRequest(_Table):
 
 
 class MeasurementRequest(_Table):
-    """What to measure in a scan; ``nominal`` and ``region`` (mm, table frame) help to find it."""
+    """What to measure in a scan; ``nominal`` and ``region`` (mm, table frame) help to find it.
+
+    ``check``: the part is known, and ``reference`` judges the calibration; it never takes part in one.
+    """
 
     capture: str
     feature: Feature
@@ -80,16 +113,25 @@ class MeasurementRequest(_Table):
     reference: dict[str, float] = Field(default_factory=dict)
     nominal: dict[str, float] = Field(default_factory=dict)
     region: Region | None = None
+    check: StrictBool = False
+
+
+class _OpticsTable(_Table):
+    f_number: Length
+    pixel_pitch_um: Length
+    wavelength_nm: Length
+    speckle_contrast: Annotated[float, Field(ge=0, le=1)] = 1.0
+
+    def value(self) -> LaserOptics:
+        return LaserOptics(self.f_number, self.pixel_pitch_um, self.wavelength_nm, self.speckle_contrast)
 
 
 class _File(_Table):
     version: Literal[1]
-    targets: dict[
-        str,
-        Annotated[_CheckerboardTable | _DotsTable | _CharucoTable | _SteppedCylinderTable, Field(discriminator="kind")],
-    ] = Field(default_factory=dict)
+    targets: dict[str, _TargetTable] = Field(default_factory=dict)
     captures: list[CaptureRequest] = Field(default_factory=list)
     measurements: list[MeasurementRequest] = Field(default_factory=list)
+    optics: _OpticsTable | None = None
 
 
 def measurement_request(
@@ -117,9 +159,10 @@ class SessionFile:
     """The content of a ``session.toml`` that was found to be right."""
 
     def __init__(self, content: _File) -> None:
-        self.targets: dict[str, Target | SteppedCylinder] = {n: t.value() for n, t in content.targets.items()}
+        self.targets: dict[str, Target | Artifact] = {n: t.value() for n, t in content.targets.items()}
         self.captures = tuple(content.captures)
         self.measurements = tuple(content.measurements)
+        self.optics = content.optics.value() if content.optics is not None else None
 
 
 def parse_session_file(path: Path) -> tuple[SessionFile | None, list[tuple[str, str, bool]]]:
@@ -149,6 +192,7 @@ def parse_session_file(path: Path) -> tuple[SessionFile | None, list[tuple[str, 
         return None, [_explain(path, text, data, dict(entry)) for entry in error.errors()]
     result = SessionFile(content)
     problems = _target_problems(path, text, result)
+    problems += _tolerance_problems(path, text, result) + _check_problems(path, text, result)
     problems += _unknown_keys(path, text, content)
     return (None if any(fatal for _, _, fatal in problems) else result), problems
 
@@ -167,8 +211,12 @@ def _target_problems(path: Path, text: str, content: SessionFile) -> list[tuple[
             problems.append(
                 (at, f"found '{capture.target}', expected the name of a table under [targets]: {known}.", True)
             )
-        elif (capture.role == "artifact") != isinstance(target, SteppedCylinder):
-            expected = "a stepped-cylinder" if capture.role == "artifact" else "a checkerboard, dots or charuco"
+        elif (capture.role == "artifact") != isinstance(target, Artifact):
+            expected = (
+                "a stepped-cylinder, cylinder or sphere"
+                if capture.role == "artifact"
+                else "a checkerboard, dots or charuco"
+            )
             problems.append((at, f"'{capture.target}' does not suit role '{capture.role}'; expected {expected}.", True))
     for name, target in content.targets.items():
         if isinstance(target, SteppedCylinder) and target.diameter_small >= target.diameter_large:
@@ -192,11 +240,44 @@ def _target_problems(path: Path, text: str, content: SessionFile) -> list[tuple[
     return problems
 
 
+def _tolerance_problems(path: Path, text: str, content: SessionFile) -> list[tuple[str, str, bool]]:
+    """Sizes that their tolerance leaves nothing of."""
+    problems = []
+    for name, target in content.targets.items():
+        if isinstance(target, Artifact):
+            sizes = [v for k, v in asdict(target).items() if k != "tolerance" and v is not None]
+            if target.tolerance >= 0.1 * min(sizes):
+                at = where(path, text, ("targets", name, "tolerance"))
+                what = (
+                    f"found {target.tolerance} mm, expected less than a tenth of the smallest size ({min(sizes)} mm)."
+                )
+                problems.append((at, f"{what} It is how far each size may be from what is stated.", True))
+    return problems
+
+
+def _check_problems(path: Path, text: str, content: SessionFile) -> list[tuple[str, str, bool]]:
+    """A check needs a reference, and a scan that the calibration does not use."""
+    fitted = {capture.folder for capture in content.captures if capture.role == "artifact"}
+    problems = []
+    for index, measurement in enumerate(content.measurements):
+        if not measurement.check:
+            continue
+        at = where(path, text, ("measurements", index, "check"))
+        if not measurement.reference:
+            what = "a check compares with known sizes, but there are none; expected [measurements.reference]."
+            problems.append((at, what, True))
+        if measurement.capture in fitted:
+            what = f"'{measurement.capture}' is an artefact and takes part in the calibration, so it cannot check it; expected a scan."
+            problems.append((at, what, True))
+    return problems
+
+
 def _unknown_keys(path: Path, text: str, content: _File) -> list[tuple[str, str, bool]]:
     tables: list[tuple[tuple[Any, ...], _Table]] = [((), content)]
     tables += [(("targets", name), table) for name, table in content.targets.items()]
     tables += [(("captures", i), table) for i, table in enumerate(content.captures)]
     tables += [(("measurements", i), table) for i, table in enumerate(content.measurements)]
+    tables += [(("optics",), content.optics)] if content.optics is not None else []
     return [
         (where(path, text, (*place, key)), "this key is not known and is ignored.", False)
         for place, table in tables
@@ -205,8 +286,7 @@ def _unknown_keys(path: Path, text: str, content: _File) -> list[tuple[str, str,
 
 
 def _explain(path: Path, text: str, data: dict[str, Any], error: dict[str, Any]) -> tuple[str, str, bool]:
-    kinds = ("checkerboard", "dots", "charuco", "stepped-cylinder")
-    place = tuple(part for i, part in enumerate(error["loc"]) if not (i == 2 and part in kinds))
+    place = tuple(part for i, part in enumerate(error["loc"]) if not (i == 2 and part in _KINDS))
     kind, context = error["type"], error.get("ctx", {})
     if kind == "missing":
         if isinstance(place[-1], int):
@@ -216,7 +296,7 @@ def _explain(path: Path, text: str, data: dict[str, Any], error: dict[str, Any])
     if kind.startswith("union_tag"):
         place = (*place, "kind")
         found = context.get("tag", "nothing")
-        return where(path, text, place), f"found '{found}', expected one of {', '.join(kinds)}.", True
+        return where(path, text, place), f"found '{found}', expected one of {', '.join(_KINDS)}.", True
     if kind == "literal_error":
         expected = str(context["expected"]).replace("'", "")
         hint = " This program reads version 1." if place == ("version",) else ""

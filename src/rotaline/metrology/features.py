@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from rotaline.metrology.groove import measure_groove
 from rotaline.metrology.model import FEATURES, FeatureMeasurement, Region
@@ -30,6 +30,7 @@ def measure_feature(
     feature: str,
     *,
     viewpoints: Float[np.ndarray, "n 3"] | None = None,
+    frame: Int[np.ndarray, " n"] | None = None,
     nominal: dict[str, float] | None = None,
     region: Region | None = None,
     options: MeasureOptions | None = None,
@@ -44,6 +45,8 @@ def measure_feature(
     points : (n, 3)   mm, any frame with z up; rows that are not finite are left out
     feature : one of ``FEATURES``
     viewpoints : (n, 3)   where the camera stood when it saw each point, if known: tells the outside of planes
+    frame : (n,)   index of the frame of each point, if known, in the order of the turn: the uncertainty then counts errors
+        that the points of a frame, and of frames next to each other, have in common
     nominal : expected values, mm, with keys of ``FeatureMeasurement.value``; they guide the search and never the value
     region : where to look; None: everywhere
     options : MeasureOptions
@@ -57,5 +60,5 @@ def measure_feature(
     """
     if feature not in _MEASURE:
         raise ValueError(f"Unknown feature {feature!r}; expected one of {', '.join(FEATURES)}.")
-    scene = build_scene(points, viewpoints, region, MeasureOptions() if options is None else options)
+    scene = build_scene(points, viewpoints, frame, region, MeasureOptions() if options is None else options)
     return _MEASURE[feature](scene, nominal)

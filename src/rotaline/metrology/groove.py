@@ -16,15 +16,14 @@ from rotaline.geometry.primitives import Plane, unit
 from rotaline.geometry.robust import ransac_plane
 from rotaline.metrology.model import FeatureMeasurement
 from rotaline.metrology.planes import (
-    ParallelFit,
     PlanePatch,
     are_parallel,
-    fit_parallel,
     plane_band,
     segment_planes,
     table_patch,
 )
 from rotaline.metrology.plausibility import describe_scene, edge_margin
+from rotaline.metrology.responses import depend, linearise
 from rotaline.metrology.scene import Scene
 from rotaline.metrology.surface_fit import SurfaceFit, fit_all_points, form_error
 from rotaline.scanning.thinning import SearchCloud
@@ -56,12 +55,22 @@ class GrooveShape:
 
 
 @dataclass(frozen=True, eq=False)
-class Corner:
-    """Where a flank meets the top or the bottom in the middle of the length: place across the groove, mm, and the point."""
+class Section:
+    """The cross-section in the middle of the length: the directions along and across the groove, and where flanks meet levels.
 
-    place: float
-    u_place: float
-    point: Float[np.ndarray, "3"]
+    ``corners`` has the keys ``top_left``, ``top_right``, ``bottom_left``, ``bottom_right``; mm.
+    """
+
+    along: Float[np.ndarray, "3"]
+    sideways: Float[np.ndarray, "3"]
+    corners: dict[str, Float[np.ndarray, "3"]]
+
+    def widths(self) -> dict[str, float]:
+        """Distances of the corners of each level across the groove, mm."""
+        return {
+            f"width_{level}": float((self.corners[f"{level}_right"] - self.corners[f"{level}_left"]) @ self.sideways)
+            for level in ("top", "bottom")
+        }
 
 
 def measure_groove(scene: Scene, nominal: dict[str, float] | None) -> FeatureMeasurement:
@@ -78,42 +87,55 @@ def measure_groove(scene: Scene, nominal: dict[str, float] | None) -> FeatureMea
         bottom = _fit(scene, shape.bottom, shape.bottom_edges[1] - shape.bottom_edges[0])
     except GeometryError as error:
         raise MeasurementError(f"A groove was found, but its planes cannot be fitted: {error}") from error
+    left, right = (_fit_flank(scene, shape, side, top.rms) for side in (-1.0, 1.0))
+    return groove_measurement(scene, top, bottom, (left, right), shape.across)
+
+
+def groove_measurement(
+    scene: Scene,
+    top: SurfaceFit,
+    bottom: SurfaceFit,
+    flanks: tuple[SurfaceFit | None, SurfaceFit | None],
+    across_rough: Float[np.ndarray, "3"],
+) -> FeatureMeasurement:
+    """What fitted planes say about the groove; the flanks are the left and the right one in the sense of ``across_rough``."""
     top_plane, bottom_plane = top.surface, bottom.surface
     assert isinstance(top_plane, Plane)
     assert isinstance(bottom_plane, Plane)
     distances = -top_plane.signed_distance_to(scene.points[bottom.used])
     depth = float(distances.mean())
-    top_cov, bottom_cov = fit_parallel(scene, (top,)), fit_parallel(scene, (bottom,))
-    middle = bottom_cov.centroids[0]
-    u_depth = float(np.hypot(_u_at(top_cov, middle), bottom_cov.u_offsets[0]))
-
-    value, uncertainty = {"depth": depth}, {"depth": u_depth}
+    middle = scene.points[bottom.used].mean(axis=0)
+    # The depth is measured along the normal of the top.
+    fitted = [
+        linearise(scene, top),
+        replace(linearise(scene, bottom), normals=np.tile(top_plane.normal, (len(distances), 1))),
+    ]
+    value, gradients = {"depth": depth}, {"depth": _depth_gradient(scene, top, middle)}
+    residuals = [top.residuals, depth - distances]
     warnings = []
-    flanks = [_fit_flank(scene, shape, side, top.rms) for side in (-1.0, 1.0)]
     geometry: dict[str, float | list[float]] = {
         "top_normal": top_plane.normal.tolist(),
         "top_offset": top_plane.offset,
         "bottom_centroid": middle.tolist(),
     }
-    if all(flank is not None for flank in flanks):
-        left, right = flanks
-        assert left is not None
-        assert right is not None
-        along = _groove_axis(top_plane, left, right)
-        geometry["direction"] = along.tolist()
-        sideways = np.cross(along, top_plane.normal)
-        sideways = sideways * (1.0 if sideways @ shape.across > 0 else -1.0)
-        for name, level, level_cov in (("top", top_plane, top_cov), ("bottom", bottom_plane, bottom_cov)):
-            a, b = (_corner(scene, level, level_cov, flank, middle, sideways) for flank in (left, right))
-            value[f"width_{name}"] = b.place - a.place
-            uncertainty[f"width_{name}"] = float(np.hypot(a.u_place, b.u_place))
-            geometry[f"corner_{name}_left"], geometry[f"corner_{name}_right"] = a.point.tolist(), b.point.tolist()
+    left, right = flanks
+    if left is not None and right is not None:
+        surfaces = (top, bottom, left, right)
+        section = _section(_planes(surfaces), middle, across_rough)
+        value |= section.widths()
+        geometry["direction"] = section.along.tolist()
+        geometry |= {f"corner_{name}": corner.tolist() for name, corner in section.corners.items()}
+        gradients["depth"] += (None, None)
+        gradients |= _width_gradients(scene, surfaces, middle, across_rough)
+        fitted += [linearise(scene, left), linearise(scene, right)]
+        residuals += [left.residuals, right.residuals]
     else:
         missing = [name for name, flank in zip(("one", "the other"), flanks, strict=True) if flank is None]
         warnings.append(
             f"The groove's flank was not seen on {' and '.join(missing)} side: the widths cannot be measured. "
             "Take frames over a full turn, or set the part so that the laser reaches the flanks."
         )
+    owed = depend(scene, tuple(fitted), gradients)
     tilt = float(np.arccos(np.clip(top_plane.normal @ bottom_plane.normal, -1.0, 1.0)))
     if tilt > np.deg2rad(0.5):
         warnings.append(
@@ -125,20 +147,22 @@ def measure_groove(scene: Scene, nominal: dict[str, float] | None) -> FeatureMea
             f"The points scatter {max(top.rms, bottom.rms):.3g} mm about the planes of a groove of {depth:.4g} mm depth. "
             "Look at the residuals."
         )
-    used = np.concatenate([top.used, bottom.used])
-    residuals = np.concatenate([top.residuals, depth - distances])
+    all_residuals = np.concatenate(residuals)
     return FeatureMeasurement(
         "groove",
         value,
-        uncertainty,
-        len(used),
-        float(np.sqrt(np.mean(residuals**2))),
-        form_error(residuals),
-        scene.indices[used],
-        residuals,
+        owed.u_scatter,
+        len(all_residuals),
+        float(np.sqrt(np.mean(all_residuals**2))),
+        form_error(all_residuals),
+        scene.indices[owed.used],
+        all_residuals,
         geometry,
         1.0,
         tuple(warnings),
+        owed.responses,
+        owed.normals,
+        owed.u_scatter,
     )
 
 
@@ -280,40 +304,67 @@ def _fit_between(
     return fit_all_points(scene, plane, support, band, 0.0, inside)
 
 
-def _groove_axis(top: Plane, left: SurfaceFit, right: SurfaceFit) -> Float[np.ndarray, "3"]:
-    """Mean direction of the lines in which the flanks meet the top."""
-    directions: list[np.ndarray] = []
-    for flank in (left, right):
-        assert isinstance(flank.surface, Plane)
-        line = unit(np.cross(top.normal, flank.surface.normal))
-        directions.append(line if not directions or line @ directions[0] > 0 else -line)
-    return unit(directions[0] + directions[1])
+def _planes(surfaces: tuple[SurfaceFit, ...]) -> tuple[Plane, ...]:
+    return tuple(fit.surface for fit in surfaces if isinstance(fit.surface, Plane))
 
 
-def _corner(
+def _section(
+    planes: tuple[Plane, ...], middle: Float[np.ndarray, "3"], across_rough: Float[np.ndarray, "3"]
+) -> Section:
+    """Cut top, bottom, left and right flank at right angles to the groove, through the middle of its bottom."""
+    top, bottom, left, right = planes
+    lines = [unit(np.cross(top.normal, flank.normal)) for flank in (left, right)]
+    along = unit(lines[0] + lines[1] * (1.0 if lines[0] @ lines[1] > 0 else -1.0))
+    sideways = np.cross(along, top.normal)
+    sideways = sideways * (1.0 if sideways @ across_rough > 0 else -1.0)
+    corners = {}
+    for level_name, level in (("top", top), ("bottom", bottom)):
+        for side_name, flank in (("left", left), ("right", right)):
+            rows = np.array([p.normal @ np.column_stack([sideways, level.normal]) for p in (flank, level)])
+            place, height = np.linalg.solve(rows, [-float(p.normal @ middle + p.offset) for p in (flank, level)])
+            corners[f"{level_name}_{side_name}"] = middle + place * sideways + height * level.normal
+    return Section(along, sideways, corners)
+
+
+def _depth_gradient(
+    scene: Scene, top: SurfaceFit, middle: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, " _"] | None, ...]:
+    """Gradient of the depth by the parameters of top and bottom (see ``linearise``)."""
+    assert isinstance(top.surface, Plane)
+    e1, e2 = across(top.surface.normal)
+    lever = middle - scene.points[top.used].mean(axis=0)
+    return np.array([1.0, -lever @ e1, -lever @ e2]), np.array([-1.0, 0.0, 0.0])
+
+
+def _width_gradients(
     scene: Scene,
-    level: Plane,
-    level_cov: ParallelFit,
-    flank: SurfaceFit,
+    surfaces: tuple[SurfaceFit, ...],
     middle: Float[np.ndarray, "3"],
-    sideways: Float[np.ndarray, "3"],
-) -> Corner:
-    """Where a flank meets a level, in the cross-section through the middle."""
-    side = flank.surface
-    assert isinstance(side, Plane)
-    up = level.normal
-    rows = np.array([[side.normal @ sideways, side.normal @ up], [level.normal @ sideways, level.normal @ up]])
-    right = -np.array([side.normal @ middle + side.offset, level.normal @ middle + level.offset])
-    place, height = np.linalg.solve(rows, right)
-    point = middle + place * sideways + height * up
-    flank_cov = fit_parallel(scene, (flank,))
-    # A shift of the flank moves the corner by 1 / cos, a shift of the level by the flank's slope.
-    steep = abs(rows[0, 0])
-    u_place = float(np.hypot(_u_at(flank_cov, point) / steep, _u_at(level_cov, point) * abs(rows[0, 1]) / steep))
-    return Corner(float(place), u_place, point)
+    across_rough: Float[np.ndarray, "3"],
+) -> dict[str, tuple[Float[np.ndarray, " _"] | None, ...]]:
+    """Gradients of the widths by the parameters of the four planes (see ``linearise``), by central differences."""
+    planes = _planes(surfaces)
+    steps = (1e-4 * scene.extent, 1e-4, 1e-4)
+    gradients: dict[str, list[Float[np.ndarray, " _"] | None]] = {"width_top": [], "width_bottom": []}
+    for k, surface in enumerate(surfaces):
+        centroid = scene.points[surface.used].mean(axis=0)
+        slopes: dict[str, list[float]] = {key: [] for key in gradients}
+        for i, step in enumerate(steps):
+            ends = []
+            for sign in (1.0, -1.0):
+                by = np.zeros(3)
+                by[i] = sign * step
+                there = _moved(planes[k], centroid, by)
+                ends.append(_section((*planes[:k], there, *planes[k + 1 :]), middle, across_rough).widths())
+            for key, slope in slopes.items():
+                slope.append((ends[0][key] - ends[1][key]) / (2 * step))
+        for key, slope in slopes.items():
+            gradients[key].append(np.array(slope))
+    return {key: tuple(by_fit) for key, by_fit in gradients.items()}
 
 
-def _u_at(plane_cov: ParallelFit, at: Float[np.ndarray, "3"]) -> float:
-    """Standard uncertainty of a fitted plane along its normal at a place, mm."""
-    lever = at - plane_cov.centroids[0]
-    return float(np.sqrt(plane_cov.u_offsets[0] ** 2 + lever @ plane_cov.cov_normal @ lever))
+def _moved(plane: Plane, centroid: Float[np.ndarray, "3"], by: Float[np.ndarray, "3"]) -> Plane:
+    """A plane shifted along its normal at the centroid, and its normal turned towards e1 and e2 (see ``linearise``)."""
+    e1, e2 = across(plane.normal)
+    normal = unit(plane.normal + by[1] * e1 + by[2] * e2)
+    return Plane(normal, -float(normal @ (centroid + by[0] * plane.normal)))

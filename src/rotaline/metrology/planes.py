@@ -10,12 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from rotaline.errors import GeometryError, MeasurementError
-from rotaline.geometry.fitting import PlaneFit
+from rotaline.geometry.fitting import PlaneFit, across
 from rotaline.geometry.least_squares import triangular_factor
 from rotaline.geometry.primitives import Plane
 from rotaline.geometry.robust import ransac_plane
 from rotaline.metrology.model import FeatureMeasurement
 from rotaline.metrology.plausibility import describe_scene, edge_margin, only_touches
+from rotaline.metrology.responses import depend, linearise_parallel
 from rotaline.metrology.scene import Scene
 from rotaline.metrology.surface_fit import SurfaceFit, fit_all_points, form_error, settle
 from rotaline.scanning.thinning import SearchCloud
@@ -140,6 +141,7 @@ def measure_plane(scene: Scene, nominal: dict[str, float] | None) -> FeatureMeas
         {"normal": plane.normal.tolist(), "offset": plane.offset, "centroid": fit.centroid.tolist()},
         1.0,
         tuple(warnings),
+        u_scatter={"flatness": u_flatness},
     )
 
 
@@ -158,7 +160,8 @@ def measure_step(scene: Scene, nominal: dict[str, float] | None) -> FeatureMeasu
     fits = (fit_patch(scene, upper), fit_patch(scene, lower))
     joint = fit_parallel(scene, fits)
     high, low = joint.offsets
-    height, u_height = high - low, joint.u_difference(0, 1)
+    height = high - low
+    owed = depend(scene, (linearise_parallel(scene, fits, joint.normal),), {"height": (joint.height_gradient(0, 1),)})
     warnings = []
     if n_levels > 2 and nominal is None:
         warnings.append(
@@ -177,7 +180,7 @@ def measure_step(scene: Scene, nominal: dict[str, float] | None) -> FeatureMeasu
     return FeatureMeasurement(
         "step",
         {"height": height},
-        {"height": u_height},
+        owed.u_scatter,
         len(used),
         float(np.sqrt(np.mean(residuals**2))),
         form_error(residuals),
@@ -191,6 +194,9 @@ def measure_step(scene: Scene, nominal: dict[str, float] | None) -> FeatureMeasu
         },
         1.0,
         tuple(warnings),
+        owed.responses,
+        owed.normals,
+        owed.u_scatter,
     )
 
 
@@ -204,22 +210,20 @@ class ParallelFit:
     centroids : one (3,) each, mm
     offsets : positions along the normal, mm
     residuals : (n_i,) each, signed distances of the points, mm
-    u_offsets : standard uncertainties along the normal at the centroids, mm
-    cov_normal : (3, 3)   of the normal, rad^2
     """
 
     normal: Float[np.ndarray, "3"]
     centroids: tuple[Float[np.ndarray, "3"], ...]
     offsets: tuple[float, ...]
     residuals: tuple[Float[np.ndarray, " _"], ...]
-    u_offsets: tuple[float, ...]
-    cov_normal: Float[np.ndarray, "3 3"]
 
-    def u_difference(self, a: int, b: int) -> float:
-        """Standard uncertainty of the distance between two of the planes at their centroids, mm."""
+    def height_gradient(self, a: int, b: int) -> Float[np.ndarray, " p"]:
+        """Gradient of ``offsets[a] - offsets[b]`` by the parameters of ``linearise_parallel``."""
         lever = self.centroids[a] - self.centroids[b]
-        tilt = float(lever @ self.cov_normal @ lever)
-        return float(np.sqrt(self.u_offsets[a] ** 2 + self.u_offsets[b] ** 2 + tilt))
+        gradient = np.zeros(len(self.offsets) + 2)
+        gradient[a], gradient[b] = 1.0, -1.0
+        gradient[-2:] = [lever @ e for e in across(self.normal)]
+        return gradient
 
 
 def fit_parallel(scene: Scene, fits: tuple[SurfaceFit, ...]) -> ParallelFit:
@@ -227,22 +231,15 @@ def fit_parallel(scene: Scene, fits: tuple[SurfaceFit, ...]) -> ParallelFit:
     groups = [scene.points[fit.used] for fit in fits]
     centroids = [points.mean(axis=0) for points in groups]
     triangle = triangular_factor(np.vstack([p - c for p, c in zip(groups, centroids, strict=True)]))
-    _, singular, axes = np.linalg.svd(triangle)
+    axes = np.linalg.svd(triangle)[2]
     first = fits[0].surface
     assert isinstance(first, Plane)
     normal = axes[2] * (1.0 if axes[2] @ first.normal > 0 else -1.0)
-    residuals = tuple((p - c) @ normal for p, c in zip(groups, centroids, strict=True))
-    inflation = max(fit.inflation for fit in fits)
-    sigmas = [float(np.sqrt(np.mean(r**2))) for r in residuals]
-    sigma = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
-    tilts = [inflation * sigma / value for value in singular[:2]]
     return ParallelFit(
         normal,
         tuple(centroids),
         tuple(float(normal @ c) for c in centroids),
-        residuals,
-        tuple(fit.inflation * s / float(np.sqrt(len(fit.used))) for fit, s in zip(fits, sigmas, strict=True)),
-        np.outer(axes[0], axes[0]) * tilts[0] ** 2 + np.outer(axes[1], axes[1]) * tilts[1] ** 2,
+        tuple((p - c) @ normal for p, c in zip(groups, centroids, strict=True)),
     )
 
 

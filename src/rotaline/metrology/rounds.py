@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from rotaline.errors import GeometryError, MeasurementError
-from rotaline.geometry.fitting import CylinderFit, SphereFit, across
+from rotaline.geometry.fitting import across
 from rotaline.geometry.primitives import Cylinder, Sphere
 from rotaline.geometry.robust import ransac_cylinder, ransac_sphere
 from rotaline.metrology.model import FeatureMeasurement
@@ -21,6 +21,7 @@ from rotaline.metrology.plausibility import (
     search_band,
     what_it_is_rather,
 )
+from rotaline.metrology.responses import depend, linearise
 from rotaline.metrology.scene import Scene
 from rotaline.metrology.surface_fit import (
     Surface,
@@ -35,6 +36,10 @@ MAX_CANDIDATES = 6
 NOMINAL_RANGE = (0.7, 1.4)
 """Sizes around the nominal one that are tried first."""
 
+SPHERE_DIAMETER = np.array([0.0, 0.0, 0.0, 2.0])
+CYLINDER_DIAMETER = np.array([0.0, 0.0, 0.0, 0.0, 2.0])
+"""Gradients by the parameters of the fits."""
+
 
 def measure_sphere(scene: Scene, nominal: dict[str, float] | None) -> FeatureMeasurement:
     """Diameter of the sphere that most of the part's surface lies on.
@@ -44,14 +49,17 @@ def measure_sphere(scene: Scene, nominal: dict[str, float] | None) -> FeatureMea
     MeasurementError
         If there is no sphere; the message says what was found instead.
     """
-    surface_fit = _find(scene, "sphere", nominal)
-    sphere, fit = surface_fit.surface, surface_fit.fit
+    return sphere_measurement(scene, _find(scene, "sphere", nominal))
+
+
+def sphere_measurement(scene: Scene, surface_fit: SurfaceFit) -> FeatureMeasurement:
+    """What a fitted sphere says."""
+    sphere = surface_fit.surface
     assert isinstance(sphere, Sphere)
-    assert isinstance(fit, SphereFit)
-    u_radius = surface_fit.inflation * float(np.sqrt(fit.cov[3, 3]))
+    owed = depend(scene, (linearise(scene, surface_fit),), {"diameter": (SPHERE_DIAMETER,)})
     outward = (scene.points[surface_fit.used] - sphere.centre) / sphere.radius
     coverage = sphere_coverage(outward)
-    warnings = _judge("sphere", surface_fit, 2 * sphere.radius, 2 * u_radius)
+    warnings = _judge("sphere", surface_fit, 2 * sphere.radius, owed.u_scatter["diameter"])
     if coverage < 0.15:
         warnings.append(
             f"The points cover only {100 * coverage:.0f} % of the sphere; the diameter leans on the calibration. "
@@ -61,7 +69,7 @@ def measure_sphere(scene: Scene, nominal: dict[str, float] | None) -> FeatureMea
     return FeatureMeasurement(
         "sphere",
         {"diameter": 2 * sphere.radius},
-        {"diameter": 2 * u_radius},
+        owed.u_scatter,
         len(surface_fit.used),
         surface_fit.rms,
         form_error(surface_fit.residuals),
@@ -70,6 +78,9 @@ def measure_sphere(scene: Scene, nominal: dict[str, float] | None) -> FeatureMea
         geometry,
         coverage,
         tuple(warnings),
+        owed.responses,
+        owed.normals,
+        owed.u_scatter,
     )
 
 
@@ -93,15 +104,14 @@ def fit_cylinder_side(scene: Scene, start: Cylinder, support: SearchCloud, band:
 
 def cylinder_measurement(scene: Scene, surface_fit: SurfaceFit) -> FeatureMeasurement:
     """What a fitted side says about the cylinder."""
-    cylinder, fit = surface_fit.surface, surface_fit.fit
+    cylinder = surface_fit.surface
     assert isinstance(cylinder, Cylinder)
-    assert isinstance(fit, CylinderFit)
     points = scene.points[surface_fit.used]
-    u_radius = surface_fit.inflation * fit.u_radius
+    owed = depend(scene, (linearise(scene, surface_fit),), {"diameter": (CYLINDER_DIAMETER,)})
     coverage = turn_coverage(cylinder, points)
     along = (points - cylinder.axis.point) @ cylinder.axis.direction
     low, high = (float(value) for value in np.quantile(along, [0.005, 0.995]))
-    warnings = _judge("cylinder", surface_fit, 2 * cylinder.radius, 2 * u_radius)
+    warnings = _judge("cylinder", surface_fit, 2 * cylinder.radius, owed.u_scatter["diameter"])
     if coverage < 0.35:
         warnings.append(
             f"The points cover only {360 * coverage:.0f} deg of the turn; the diameter leans on the calibration. "
@@ -122,7 +132,7 @@ def cylinder_measurement(scene: Scene, surface_fit: SurfaceFit) -> FeatureMeasur
     return FeatureMeasurement(
         "cylinder",
         {"diameter": 2 * cylinder.radius},
-        {"diameter": 2 * u_radius},
+        owed.u_scatter,
         len(surface_fit.used),
         surface_fit.rms,
         form_error(surface_fit.residuals),
@@ -131,6 +141,9 @@ def cylinder_measurement(scene: Scene, surface_fit: SurfaceFit) -> FeatureMeasur
         geometry,
         coverage,
         tuple(warnings),
+        owed.responses,
+        owed.normals,
+        owed.u_scatter,
     )
 
 

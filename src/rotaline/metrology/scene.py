@@ -42,6 +42,7 @@ class Scene:
     ----------
     points : (n, 3)   all finite points of the region, mm
     viewpoints : (n, 3) or None   where each was seen from
+    frame : (n,) or None   index of the frame of each
     indices : (n,)   their places in the cloud that was given
     part : the thinned points that do not belong to the table
     table : the table top, normal up; None if none was found
@@ -52,6 +53,7 @@ class Scene:
 
     points: Float[np.ndarray, "n 3"]
     viewpoints: Float[np.ndarray, "n 3"] | None
+    frame: Int[np.ndarray, " n"] | None
     indices: Int[np.ndarray, " n"]
     part: SearchCloud
     table: Plane | None
@@ -68,6 +70,7 @@ class Scene:
 def build_scene(
     points: Float[np.ndarray, "n 3"],
     viewpoints: Float[np.ndarray, "n 3"] | None,
+    frame: Int[np.ndarray, " n"] | None,
     region: Region | None,
     options: MeasureOptions,
 ) -> Scene:
@@ -96,6 +99,7 @@ def build_scene(
     whole = thin(raw, options.n_search)
     table, on_table = _find_table(whole, rng)
     eyes = None if viewpoints is None else viewpoints[indices]
+    frames = None if frame is None else frame[indices]
     if table is None:
         part, table_cloud = whole, whole.select(on_table)
     else:
@@ -110,7 +114,7 @@ def build_scene(
             # Nothing stands on it, or only strays float above: then it is the part.
             part, table, table_cloud = whole, None, whole.select(np.zeros(len(whole.points), dtype=bool))
     gap = min(float(np.median(np.linalg.norm(np.diff(inside, axis=0), axis=1))), part.spacing)
-    return Scene(inside, eyes, indices, part, table, table_cloud, extent_of(part.points), gap, options)
+    return Scene(inside, eyes, frames, indices, part, table, table_cloud, extent_of(part.points), gap, options)
 
 
 def describe_region(region: Region) -> str:

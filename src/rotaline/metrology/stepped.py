@@ -11,7 +11,14 @@ from rotaline.geometry.primitives import Cylinder, Line, Plane
 from rotaline.metrology.model import FeatureMeasurement
 from rotaline.metrology.planes import fit_parallel
 from rotaline.metrology.plausibility import describe_scene, edge_margin, search_band, what_it_is_rather
-from rotaline.metrology.rounds import MAX_CANDIDATES, cylinder_measurement, fit_cylinder_side, search_cylinder
+from rotaline.metrology.responses import depend, linearise, linearise_parallel
+from rotaline.metrology.rounds import (
+    CYLINDER_DIAMETER,
+    MAX_CANDIDATES,
+    cylinder_measurement,
+    fit_cylinder_side,
+    search_cylinder,
+)
 from rotaline.metrology.scene import Scene
 from rotaline.metrology.surface_fit import SurfaceFit, fit_all_points, form_error
 from rotaline.scanning.thinning import SearchCloud
@@ -32,8 +39,10 @@ def measure_stepped_cylinder(scene: Scene, nominal: dict[str, float] | None) -> 
     sides = (small, large)
     parts = [cylinder_measurement(scene, side) for side in sides]
     value = {f"diameter_{name}": part.value["diameter"] for name, part in zip(("small", "large"), parts, strict=True)}
-    uncertainty = {
-        f"diameter_{name}": part.uncertainty["diameter"] for name, part in zip(("small", "large"), parts, strict=True)
+    fits = [linearise(scene, side) for side in sides]
+    gradients: dict[str, tuple[np.ndarray | None, ...]] = {
+        "diameter_small": (CYLINDER_DIAMETER, None),
+        "diameter_large": (None, CYLINDER_DIAMETER),
     }
     warnings = [
         f"{name}: {text}"
@@ -41,22 +50,23 @@ def measure_stepped_cylinder(scene: Scene, nominal: dict[str, float] | None) -> 
         for text in part.warnings
     ]
     levels = _find_levels(scene, small, large)
-    used, residuals = [side.used for side in sides], [side.residuals for side in sides]
+    residuals = [side.residuals for side in sides]
     geometry: dict[str, float | list[float]] = {
         f"{key}_{name}": number
         for name, part in zip(("small", "large"), parts, strict=True)
         for key, number in part.geometry.items()
     }
     if levels:
+        gradients = {key: (*by_fit, None) for key, by_fit in gradients.items()}
         joint = fit_parallel(scene, tuple(levels.values()))
         place = {name: i for i, name in enumerate(levels)}
         for name, upper, lower in (("small", "top", "step"), ("large", "step", "table")):
             if upper in place and lower in place:
                 a, b = place[upper], place[lower]
                 value[f"height_{name}"] = joint.offsets[a] - joint.offsets[b]
-                uncertainty[f"height_{name}"] = joint.u_difference(a, b)
+                gradients[f"height_{name}"] = (None, None, joint.height_gradient(a, b))
         geometry["level_normal"] = joint.normal.tolist()
-        used += [level.used for level in levels.values()]
+        fits.append(linearise_parallel(scene, tuple(levels.values()), joint.normal))
         residuals += list(joint.residuals)
     seen_as = {"top": "the top disc", "step": "the ring of the step", "table": "the table around the part"}
     missing = [words for name, words in seen_as.items() if name not in levels]
@@ -66,18 +76,22 @@ def measure_stepped_cylinder(scene: Scene, nominal: dict[str, float] | None) -> 
             "Raise the camera or move the part so that they are seen."
         )
     all_residuals = np.concatenate(residuals)
+    owed = depend(scene, tuple(fits), gradients)
     return FeatureMeasurement(
         "stepped-cylinder",
         value,
-        uncertainty,
+        owed.u_scatter,
         len(all_residuals),
         float(np.sqrt(np.mean(all_residuals**2))),
         form_error(all_residuals),
-        scene.indices[np.concatenate(used)],
+        scene.indices[owed.used],
         all_residuals,
         geometry,
         min(part.coverage for part in parts),
         tuple(warnings),
+        owed.responses,
+        owed.normals,
+        owed.u_scatter,
     )
 
 

@@ -101,7 +101,7 @@ def compare_with_truth(results: Path, truth_file: Path) -> Comparison:
     truth = read_truth(truth_file)
     content = read_calibration(results / "calibration.json")
     return Comparison(
-        _calibration_errors(
+        calibration_errors(
             truth,
             content.camera,
             content.laser_plane_camera,
@@ -113,7 +113,7 @@ def compare_with_truth(results: Path, truth_file: Path) -> Comparison:
     )
 
 
-def _calibration_errors(
+def calibration_errors(
     truth: Truth,
     camera: CameraModel | None,
     plane: Plane | None,
@@ -121,6 +121,13 @@ def _calibration_errors(
     initial: Line | None,
     turn_sense: int,
 ) -> CalibrationErrors:
+    """Errors of the parts of a calibration; None where a part is missing.
+
+    Raises
+    ------
+    SessionError
+        If the camera is for images of another size.
+    """
     errors = CalibrationErrors()
     if camera is not None:
         if tuple(camera.image_size) != tuple(truth.camera.image_size):

@@ -6,13 +6,14 @@ import types
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
 from rotaline.calibration.artifact import ArtifactOptions
 from rotaline.calibration.cross_ratio import CrossRatioOptions
 from rotaline.calibration.intrinsics import CameraOptions
+from rotaline.calibration.joint.estimate import JointOptions
 from rotaline.calibration.laser_plane import LaserPlaneOptions
 from rotaline.calibration.rotation_axis import AxisOptions
 from rotaline.errors import SessionError
@@ -20,6 +21,21 @@ from rotaline.metrology.features import MeasureOptions
 from rotaline.scanning.surface import SurfaceOptions
 from rotaline.vision.stripe.extract import StripeOptions
 from rotaline.vision.targets.detect import TargetOptions
+
+Method = Literal["joint", "article"]
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """Options of the calibration as a whole."""
+
+    method: Method = field(
+        default="article",
+        metadata={
+            "help": "joint: one estimate of camera, laser plane, axis and artefacts from all observations; article: one refinement "
+            "after the other, with cross-ratios and feature points"
+        },
+    )
 
 
 @dataclass(frozen=True)
@@ -40,6 +56,7 @@ class ScanOptions:
 class Options:
     """All options; one field a stage."""
 
+    calibration: CalibrationOptions = field(default_factory=CalibrationOptions)
     targets: TargetOptions = field(default_factory=TargetOptions)
     camera: CameraOptions = field(default_factory=CameraOptions)
     stripe: StripeOptions = field(default_factory=StripeOptions)
@@ -47,9 +64,21 @@ class Options:
     cross_ratio: CrossRatioOptions = field(default_factory=CrossRatioOptions)
     axis: AxisOptions = field(default_factory=AxisOptions)
     artifact: ArtifactOptions = field(default_factory=ArtifactOptions)
+    joint: JointOptions = field(default_factory=JointOptions)
     scan: ScanOptions = field(default_factory=ScanOptions)
     measure: MeasureOptions = field(default_factory=MeasureOptions)
     surface: SurfaceOptions = field(default_factory=SurfaceOptions)
+
+
+ARTICLE_OPTIONS = Options(
+    calibration=CalibrationOptions(method="article"),
+    camera=CameraOptions(weak_parameters="free", board="flat"),
+    stripe=StripeOptions(method="improved-gray-gravity", average_px=0),
+    cross_ratio=CrossRatioOptions(method="sqp", tolerance=1e-8, max_iterations=150, dots="triple"),
+    axis=AxisOptions(method="circles"),
+    artifact=ArtifactOptions(method="sqp", tolerance=1e-8, max_iterations=150),
+)
+"""The method of the article: Zhang's camera as it is, three dots a row, circles, one mount, SQP on the mean distance."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +92,17 @@ class OptionEntry:
     help: str
 
 
-def option_entries() -> tuple[OptionEntry, ...]:
+def option_entries(defaults: Options | None = None) -> tuple[OptionEntry, ...]:
     """All options with their defaults and meaning, in the order of the stages."""
+    defaults = defaults or Options()
     return tuple(
-        OptionEntry(stage.name, f.name, _kind(f.type), f.default, str(f.metadata.get("help", "")))
+        OptionEntry(
+            stage.name,
+            f.name,
+            _kind(f.type),
+            getattr(getattr(defaults, stage.name), f.name),
+            str(f.metadata.get("help", "")),
+        )
         for stage in dataclasses.fields(Options)
         for f in dataclasses.fields(stage.type)  # type: ignore[arg-type]
     )
@@ -80,11 +116,11 @@ def _kind(annotation: Any) -> str:
     return getattr(annotation, "__name__", str(annotation))
 
 
-def options_toml() -> str:
-    """A TOML file with every option at its default, commented, as ``--options`` reads it."""
+def options_toml(method: Method | None = None) -> str:
+    """A TOML file with every option at its default (of a method), commented, as ``--options`` reads it."""
     lines = ["# Options of rotaline; every line stands at its default. Give the file with --options FILE."]
     stage = ""
-    for entry in option_entries():
+    for entry in option_entries(_defaults(method)):
         if entry.stage != stage:
             stage = entry.stage
             lines += ["", f"[{stage}]"]
@@ -102,8 +138,18 @@ def _toml_value(value: Any) -> str | None:
     return f'"{value}"' if isinstance(value, str) else repr(value)
 
 
-def read_options(path: Path | None, settings: tuple[str, ...] = ()) -> Options:
-    """Options from a TOML file and from single settings ``stage.name=value``, which win.
+def _defaults(method: Method | None) -> Options:
+    """The options of a method; None: where none was chosen."""
+    if method is None:
+        return Options()
+    return ARTICLE_OPTIONS if method == "article" else Options(calibration=CalibrationOptions(method))
+
+
+def read_options(path: Path | None, settings: tuple[str, ...] = (), method: Method | None = None) -> Options:
+    """Options from a TOML file and from single settings ``stage.name=value``, which win over the file.
+
+    ``method`` wins over ``calibration.method`` of both. Options that are not given have the default of the method: those of the article
+    are :data:`ARTICLE_OPTIONS`.
 
     Raises
     ------
@@ -122,13 +168,18 @@ def read_options(path: Path | None, settings: tuple[str, ...] = ()) -> Options:
             raise SessionError(f"{path}: this is not valid TOML: {error}.") from error
     for setting in settings:
         data = _with_setting(data, setting)
+    if method is not None:
+        data = _with_setting(data, f"calibration.method={method}")
     kinds = {f.name: f.type for f in dataclasses.fields(Options)}
-    stages: dict[str, Any] = {}
-    for stage, table in data.items():
-        if stage not in kinds:
-            raise SessionError(f"{source}, [{stage}]: there is no such stage; expected one of {', '.join(kinds)}.")
-        stages[stage] = _stage(source, stage, kinds[stage], table)
-    return Options(**stages)
+    unknown = [stage for stage in data if stage not in kinds]
+    if unknown:
+        raise SessionError(f"{source}, [{unknown[0]}]: there is no such stage; expected one of {', '.join(kinds)}.")
+    defaults = Options()
+    if "calibration" in data:
+        stated = _stage(source, "calibration", CalibrationOptions, data["calibration"], defaults.calibration)
+        defaults = _defaults(stated.method)
+    stages = {s: _stage(source, s, kinds[s], table, getattr(defaults, s)) for s, table in data.items()}
+    return dataclasses.replace(defaults, **stages)
 
 
 def _with_setting(data: dict[str, Any], setting: str) -> dict[str, Any]:
@@ -140,10 +191,11 @@ def _with_setting(data: dict[str, Any], setting: str) -> dict[str, Any]:
         value = tomllib.loads(f"value = {text.strip()}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()
-    return data | {stage: dict(data.get(stage, {})) | {key: value}}
+    table = data.get(stage, {})
+    return data | {stage: table | {key: value} if isinstance(table, dict) else table}
 
 
-def _stage(source: str, stage: str, kind: Any, table: Any) -> Any:
+def _stage(source: str, stage: str, kind: Any, table: Any, defaults: Any) -> Any:
     names = [f.name for f in dataclasses.fields(kind)]
     if not isinstance(table, dict):
         raise SessionError(f"{source}, {stage}: found {table!r}, expected a table [{stage}] with name = value.")
@@ -153,7 +205,7 @@ def _stage(source: str, stage: str, kind: Any, table: Any) -> Any:
             f"{source}, {stage}.{unknown[0]}: there is no such option; expected one of {', '.join(names)}."
         )
     try:
-        return TypeAdapter(kind).validate_python(table)
+        return TypeAdapter(kind).validate_python(dataclasses.asdict(defaults) | table)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in (stage, *first["loc"]))

@@ -1,22 +1,28 @@
 """Scans and what is made from them: clouds, the table's height, surfaces, measured features."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from rotaline.calibration.joint.line_width import SHARE_UNKNOWN
 from rotaline.calibration.model import SystemCalibration
 from rotaline.errors import GeometryError, MeasurementError
-from rotaline.geometry.primitives import Line, SteppedCylinder
+from rotaline.geometry.primitives import Artifact, KnownCylinder, KnownSphere, Line, SteppedCylinder
 from rotaline.io.clouds import read_points
 from rotaline.io.results import MeasurementEntry
 from rotaline.io.session import Session
 from rotaline.io.session_file import MeasurementRequest
 from rotaline.metrology.features import MeasureOptions, measure_feature
+from rotaline.metrology.line_width import line_width_correction
+from rotaline.metrology.model import FeatureMeasurement
 from rotaline.pipeline.frames import CaptureStripes
 from rotaline.pipeline.options import ScanOptions
 from rotaline.scanning.cloud import PointCloud
+from rotaline.scanning.propagation import combination_uncertainty
 from rotaline.scanning.table import find_table_height
 from rotaline.scanning.triangulation import scan_cloud
 
@@ -39,7 +45,7 @@ def place_on_table(system: SystemCalibration, clouds: Sequence[PointCloud]) -> S
         return system
     axis = system.rotation_axis_camera
     on_table = Line(axis.point + float(np.median(heights)) * axis.direction, axis.direction)
-    return SystemCalibration(system.camera, system.laser_plane_camera, on_table, system.turn_sense, table_seen=True)
+    return replace(system, rotation_axis_camera=on_table, table_seen=True)
 
 
 def system_at_optical_axis(system: SystemCalibration) -> SystemCalibration:
@@ -49,29 +55,31 @@ def system_at_optical_axis(system: SystemCalibration) -> SystemCalibration:
     # nearest points of the line p + s d and the line t * (0, 0, 1): solve for s with the z parts removed
     across = d[:2] @ d[:2]
     s = -(p[:2] @ d[:2]) / across if across > 1e-12 else 0.0
-    return SystemCalibration(
-        system.camera, system.laser_plane_camera, Line(p + s * d, d), system.turn_sense, table_seen=False
-    )
+    return replace(system, rotation_axis_camera=Line(p + s * d, d), table_seen=False)
 
 
 def measurement_requests(session: Session) -> tuple[MeasurementRequest, ...]:
     """What the session asks for, and the artefact of every artefact capture with its stated sizes."""
     artefacts = tuple(
-        MeasurementRequest(
-            capture=capture.folder,
-            feature="stepped-cylinder",
-            name=capture.target_name,
-            reference=artifact_sizes(capture.target),
-            nominal=artifact_sizes(capture.target),
-        )
+        _artifact_request(capture.folder, capture.target_name, capture.target)
         for capture in session.in_role("artifact")
-        if isinstance(capture.target, SteppedCylinder)
+        if isinstance(capture.target, SteppedCylinder | KnownCylinder | KnownSphere)
     )
     return artefacts + session.measurements
 
 
-def artifact_sizes(artifact: SteppedCylinder) -> dict[str, float]:
-    """The stated sizes of a stepped cylinder under the names of a measurement, mm."""
+def _artifact_request(capture: str, name: str, artifact: Artifact) -> MeasurementRequest:
+    sizes = artifact_sizes(artifact)
+    feature: Literal["stepped-cylinder", "cylinder", "sphere"] = "stepped-cylinder"
+    if not isinstance(artifact, SteppedCylinder):
+        feature = "cylinder" if isinstance(artifact, KnownCylinder) else "sphere"
+    return MeasurementRequest(capture=capture, feature=feature, name=name, reference=sizes, nominal=sizes)
+
+
+def artifact_sizes(artifact: Artifact) -> dict[str, float]:
+    """The stated sizes of an artefact under the names of a measurement, mm."""
+    if not isinstance(artifact, SteppedCylinder):
+        return {"diameter": artifact.diameter}
     return {
         "diameter_small": artifact.diameter_small,
         "diameter_large": artifact.diameter_large,
@@ -80,19 +88,57 @@ def artifact_sizes(artifact: SteppedCylinder) -> dict[str, float]:
     }
 
 
-def measure_request(request: MeasurementRequest, cloud: PointCloud | None, options: MeasureOptions) -> MeasurementEntry:
-    """One feature in one cloud; a feature that is not found becomes an entry with its failure."""
+def measure_request(
+    request: MeasurementRequest,
+    cloud: PointCloud | None,
+    options: MeasureOptions,
+    system: SystemCalibration | None = None,
+) -> MeasurementEntry:
+    """One feature in one cloud; a feature that is not found becomes an entry with its failure.
+
+    ``system`` is the one that the cloud was made with; where it has a covariance, its errors are in the uncertainty, and where it knows the
+    width of the laser line, values are corrected for it.
+    """
     if cloud is None or len(cloud) == 0:
         failure = "there are no points. See the warnings of the scan."
         name = request.name or request.capture
         return MeasurementEntry(request.capture, request.feature, name, None, dict(request.reference), failure)
-    return _entry(request, cloud.points_table, np.asarray(cloud.viewpoints_table), options)
+    entry = _entry(request, cloud.points_table, np.asarray(cloud.viewpoints_table), cloud.frame, options)
+    measurement = entry.measurement
+    if measurement is None or system is None:
+        return entry
+    if system.covariance is not None:
+        measurement = measurement.with_calibration(feature_uncertainty(measurement, cloud, system))
+    correction = line_width_correction(measurement, cloud, system)
+    if correction:
+        measurement = measurement.with_line_width(correction, SHARE_UNKNOWN)
+    return replace(entry, measurement=measurement)
+
+
+def feature_uncertainty(
+    measurement: FeatureMeasurement, cloud: PointCloud, system: SystemCalibration
+) -> dict[str, float]:
+    """Standard uncertainty of each value of a feature from the calibration, mm, k = 1.
+
+    Parameters
+    ----------
+    measurement : FeatureMeasurement   in this cloud, with its responses; values without a response get none
+    cloud : PointCloud
+    system : SystemCalibration   the one that the cloud was made with, with its covariance
+    """
+    if not measurement.responses:
+        return {}
+    weights = np.stack([response[:, None] * measurement.normals for response in measurement.responses.values()])
+    used = measurement.indices
+    u = combination_uncertainty(weights, cloud.points_table[used], cloud.angle_rad[used], system)
+    return {key: float(value) for key, value in zip(measurement.responses, u, strict=True)}
 
 
 def _entry(
     request: MeasurementRequest,
     points: Float[np.ndarray, "n 3"],
     viewpoints: Float[np.ndarray, "n 3"] | None,
+    frame: Int[np.ndarray, " n"] | None,
     options: MeasureOptions,
 ) -> MeasurementEntry:
     name = request.name or request.capture
@@ -102,6 +148,7 @@ def _entry(
             points,
             request.feature,
             viewpoints=viewpoints,
+            frame=frame,
             nominal=dict(request.nominal) or None,
             region=request.region,
             options=options,
@@ -132,4 +179,4 @@ def reference_contradiction(entry: MeasurementEntry) -> str:
 def measure_points(path: Path, request: MeasurementRequest, options: MeasureOptions) -> MeasurementEntry:
     """One feature in a cloud that any program wrote, in the frame of that cloud."""
     points = read_points(path)
-    return _entry(request, points, None, options)
+    return _entry(request, points, None, None, options)

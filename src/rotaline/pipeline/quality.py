@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from rotaline.calibration.joint.model import JointCalibration
 from rotaline.pipeline.calibrate import CalibrationParts
 
 
@@ -70,4 +71,67 @@ def quality_figures(parts: CalibrationParts) -> dict[str, dict[str, Any]]:
                 for m in artifact.mounts
             },
         }
+    if parts.joint is not None:
+        quality["joint"] = _joint_figures(parts.joint)
     return quality
+
+
+def _joint_figures(joint: JointCalibration) -> dict[str, Any]:
+    figures: dict[str, Any] = {
+        "n_observations": joint.n_observations,
+        "n_parameters": joint.n_parameters,
+        "n_iterations": joint.n_iterations,
+        "converged": joint.converged,
+        "groups": [
+            {
+                "kind": g.kind,
+                "name": g.name,
+                "rms_px": g.rms_px,
+                "sigma_px": g.sigma_px,
+                "predicted_px": g.predicted_px,
+                "correlation_length": g.correlation_length,
+                "n_points": g.n_points,
+                "n_points_used": g.n_used,
+                "frames_left_out": {v.name: v.reason for v in g.views if not v.used},
+            }
+            for g in joint.groups
+        ],
+        "mounts": {
+            m.name: {
+                "mean_mm": dict(zip(m.surfaces, m.mean_mm.tolist(), strict=True)),
+                "rms_mm": dict(zip(m.surfaces, m.rms_mm.tolist(), strict=True)),
+                "held_out_rms_mm": m.held_out_rms_mm,
+                "eccentricity_mm": m.eccentricity_mm,
+                "u_eccentricity_mm": m.u_eccentricity_mm,
+                "tilt_rad": m.tilt_rad,
+                "n_points": len(m.weight),
+                "n_points_used": int(m.used.sum()),
+            }
+            for m in joint.mounts
+        },
+        "optional": {
+            o.name: {
+                "on": o.on,
+                "reason": o.reason,
+                "improvement": o.improvement,
+                "value": o.values,
+                "u": o.u,
+                "unit": o.units,
+            }
+            for o in joint.optional
+        },
+        "parameters": {
+            q.name: {"value": q.value, "u": q.u, "unit": q.unit, "frame": q.frame} for q in joint.parameters
+        },
+        "weak_directions": [
+            {"quantity": w.quantity, "u": w.u, "unit": w.unit, "share": w.share, "text": w.text, "action": w.action}
+            for w in joint.weak_directions
+        ],
+    }
+    if (table := joint.table) is not None:
+        units = {"angle": "rad", "run-out": "mm", "lift": "mm", "wobble": "rad"}
+        figures["table"] = {
+            name: {"sigma": float(sigma), "u": float(u), "unit": units[name]}
+            for name, sigma, u in zip(table.names, table.sigma, table.u_sigma, strict=True)
+        }
+    return figures

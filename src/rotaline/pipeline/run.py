@@ -2,13 +2,14 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from rotaline.calibration.model import SystemCalibration
+from rotaline.calibration.model import AngleError, SystemCalibration
+from rotaline.calibration.verdict.model import Verdict
 from rotaline.errors import GeometryError, SessionError
 from rotaline.io.calibration_file import CalibrationFile, write_calibration
 from rotaline.io.clouds import write_cloud, write_mesh
@@ -19,7 +20,10 @@ from rotaline.io.report.write import write_report
 from rotaline.io.results import MeasurementEntry
 from rotaline.io.session import Capture, Session
 from rotaline.io.session_file import MeasurementRequest
-from rotaline.pipeline.calibrate import CalibrationParts, Calibrator, stored_stripes
+from rotaline.io.verdict_file import VERDICT_FILE, write_verdict
+from rotaline.pipeline.calibrate import CalibrationParts, calibrate_session
+from rotaline.pipeline.judge import judge_measured, judge_parts
+from rotaline.pipeline.observe import stored_stripes
 from rotaline.pipeline.observer import Observer
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.parts import (
@@ -53,7 +57,9 @@ class RunResult:
     @property
     def calibration_failed(self) -> bool:
         """A calibration stage failed, so that what needs it is missing."""
-        return any(w.serious and w.stage in ("camera", "laser-plane", "axis", "artifact") for w in self.warnings)
+        return any(
+            w.serious and w.stage in ("camera", "laser-plane", "axis", "artifact", "joint") for w in self.warnings
+        )
 
     @property
     def complete(self) -> bool:
@@ -98,24 +104,26 @@ class Run:
         self._warnings: list[StageWarning] = []
         self._entries: tuple[MeasurementEntry, ...] = ()
         self._initial_entries: tuple[MeasurementEntry, ...] = ()
+        self._verdict: Verdict | None = None
         for problem in session.problems:
             self._warn("session", str(problem), serious=True)
 
     def calibrate(self) -> tuple[CalibrationParts, CalibrationFile]:
-        """The calibration stages; writes ``calibration.json``."""
-        parts = Calibrator(self._session, self._options, self._store, self._observer).run()
+        """The calibration stages; writes ``calibration.json`` and ``verdict.json``."""
+        parts = calibrate_session(self._session, self._options, self._store, self._observer)
         self._warnings += parts.warnings
         system, initial = parts.system, parts.system_initial
         if system is not None:
-            system = self._placed(system, parts.key, "final")
-            initial = self._placed(initial, parts.key, "initial") if initial is not None else None
+            system = self._placed(system)
+            initial = self._placed(initial) if initial is not None else None
             if not system.table_seen:
                 self._warn(
                     "scan",
                     "no capture shows the table top; z = 0 is the point of the axis nearest to the optical axis.",
                 )
+        joint = parts.joint
         content = CalibrationFile(
-            camera=parts.camera.camera if parts.camera else None,
+            camera=parts.camera_model,
             laser_plane_camera=parts.plane_camera,
             rotation_axis_camera=system.rotation_axis_camera if system else None,
             rotation_axis_initial_camera=initial.rotation_axis_camera if initial else None,
@@ -123,8 +131,13 @@ class Run:
             table_seen=system.table_seen if system else False,
             quality=quality_figures(parts),
             session=self._session.path.resolve().name,
+            laser_curvature=joint.laser_curvature if joint else None,
+            angle_error=joint.angle_error if joint else AngleError(),
+            covariance=joint.covariance if joint else None,
+            line_sigma_mm=joint.line_sigma_mm if joint else 0.0,
         )
         write_calibration(self._folder / "calibration.json", content)
+        self._keep_verdict(judge_parts(parts))
         return parts, content
 
     def scan(self, calibration: CalibrationFile, captures: Sequence[str] = ()) -> dict[str, PointCloud]:
@@ -183,6 +196,8 @@ class Run:
         write_json(self._folder / "measurements.json", [e.to_json() for e in final_entries])
         write_json(self._folder / "measurements-initial-axis.json", [e.to_json() for e in initial_entries])
         self._entries, self._initial_entries = final_entries, initial_entries
+        if self._verdict is not None:
+            self._keep_verdict(judge_measured(self._verdict, final_entries, wanted))
         return final_entries, initial_entries
 
     def surfaces(self, clouds: dict[str, PointCloud], calibration: CalibrationFile) -> tuple[SurfaceSummary, ...]:
@@ -215,6 +230,7 @@ class Run:
             parts, calibration = self.calibrate()
         else:
             write_calibration(self._folder / "calibration.json", calibration)
+            self._keep_verdict(None)
         clouds = self.scan(calibration)
         entries, initial_entries = self.measure(clouds, calibration)
         surfaces = self.surfaces(clouds, calibration)
@@ -246,6 +262,7 @@ class Run:
             initial_entries,
             fitted_points(entries, clouds),
             frame_overlays(self._session, self._store, self._options, self._observer),
+            self._verdict if self._options.calibration.method == "joint" else None,
         )
         write_record(self._folder / "stages" / REPORT_RECORD, contents, compressed=True)
         write_report(contents, self._folder / "report.html")
@@ -258,6 +275,20 @@ class Run:
     def result(self, calibration: CalibrationFile | None = None) -> RunResult:
         """What was found so far."""
         return RunResult(self._folder, calibration, self._entries, self._initial_entries, tuple(self._warnings))
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the calibration is good; None if it came from elsewhere."""
+        return self._verdict
+
+    def _keep_verdict(self, verdict: Verdict | None) -> None:
+        """Write the verdict; one of an earlier calibration must not stay."""
+        self._verdict = verdict
+        path = self._folder / VERDICT_FILE
+        if verdict is not None:
+            write_verdict(path, verdict)
+        else:
+            path.unlink(missing_ok=True)
 
     def _warn(self, stage: str, text: str, serious: bool = False) -> None:
         self._warnings.append(StageWarning(stage, text, serious))
@@ -304,11 +335,12 @@ class Run:
             )
         return cloud
 
-    def _placed(self, system: SystemCalibration, key: str, name: str) -> SystemCalibration:
+    def _placed(self, system: SystemCalibration) -> SystemCalibration:
         """The system with z = 0 on the table, as the session's own captures show it."""
         system = system_at_optical_axis(system)
         stripes = [stored_stripes(c, self._options, self._store, self._observer)[0] for c in self._scanned()]
-        return place_on_table(system, [make_cloud(s, system, self._options.scan) for s in stripes])
+        exact = replace(system, covariance=None)
+        return place_on_table(system, [make_cloud(s, exact, self._options.scan) for s in stripes])
 
     def _measure_all(
         self,
@@ -322,14 +354,18 @@ class Run:
             with self._observer.work("features", len(requests)) as count:
                 entries = []
                 for request in requests:
-                    entries.append(measure_request(request, clouds.get(request.capture), self._options.measure))
+                    cloud = clouds.get(request.capture)
+                    entries.append(measure_request(request, cloud, self._options.measure, system))
                     count()
                 return tuple(entries)
 
         if not requests:
             return ()
         keys = {folder: _cloud_key(cloud) for folder, cloud in clouds.items()}
-        key = key_of([r.model_dump(mode="json") for r in requests], keys, self._options.measure)
+        covariance = system.covariance.matrix.tolist() if system is not None and system.covariance is not None else None
+        line_sigma_mm = system.line_sigma_mm if system is not None else 0.0
+        asked = [r.model_dump(mode="json") for r in requests]
+        key = key_of(asked, keys, covariance, line_sigma_mm, self._options.measure)
         return self._store.get(name, title, key, compute)
 
     def _surface(self, folder: str, cloud: PointCloud) -> SurfaceSummary:

@@ -1,8 +1,11 @@
 """Which stages a session allows, before anything is done."""
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rotaline.io.session import Session
+from rotaline.geometry.primitives import KnownCylinder, KnownSphere, SteppedCylinder
+from rotaline.io.session import Capture, Session
 from rotaline.vision.targets.model import DotGrid
 
 
@@ -24,7 +27,15 @@ def planned_stages(session: Session) -> tuple[PlannedStage, ...]:
     dots = any(isinstance(c.target, DotGrid) for c in laser)
     calibrated = n_views >= 3
     plane = calibrated and n_poses >= 2
-    turned = axis or artifact
+    stepped = [c for c in artifact if isinstance(c.target, SteppedCylinder)]
+    turned = calibrated and bool(axis or (plane and stepped))
+    parts = {
+        "camera": calibrated,
+        "laser plane": plane,
+        "axis": turned,
+        _mounts(artifact): plane and turned and bool(artifact),
+    }
+    together = [name for name, there in parts.items() if there]
     return (
         PlannedStage(
             "camera", calibrated, f"{n_views} views of a target" + ("" if calibrated else "; at least 3 are needed")
@@ -34,27 +45,48 @@ def planned_stages(session: Session) -> tuple[PlannedStage, ...]:
             plane,
             f"{n_poses} poses with the stripe" + ("" if n_poses >= 2 else "; at least 2 are needed"),
         ),
-        PlannedStage("cross-ratio optimisation", plane and dots, "dot plate" if dots else "only with a dot plate"),
         PlannedStage(
             "initial axis",
-            calibrated and bool(axis),
-            f"{sum(len(c.off_frames) for c in axis)} frames of a target on the table"
-            if axis
-            else "no capture with role 'axis'",
+            turned,
+            _initial_axis(axis, artifact, stepped),
+        ),
+        PlannedStage("joint estimate", calibrated, ", ".join(together) or "no camera"),
+        PlannedStage(
+            "cross-ratio optimisation",
+            plane and dots,
+            "dot plate, method article" if dots else "only with a dot plate, method article",
         ),
         PlannedStage(
             "axis optimisation",
-            plane and bool(artifact),
-            f"{len(artifact)} mount(s) of the stepped cylinder"
-            if artifact
-            else "no capture with role 'artifact': the initial axis is final",
+            plane and bool(stepped),
+            f"{_mounts(stepped)}, method article" if stepped else "only with a stepped cylinder, method article",
         ),
         PlannedStage(
             "scan",
-            plane and bool(turned) and bool(scans or artifact),
+            plane and turned and bool(scans or artifact),
             ", ".join(c.folder for c in scans) or "no capture with role 'scan'",
         ),
-        PlannedStage(
-            "measurement", bool(session.measurements or artifact), f"{len(session.measurements)} feature(s) asked for"
-        ),
+        PlannedStage("measurement", bool(session.measurements or artifact), _features(session)),
     )
+
+
+def _initial_axis(axis: tuple[Capture, ...], artifact: tuple[Capture, ...], stepped: list[Capture]) -> str:
+    if axis:
+        return f"{sum(len(c.off_frames) for c in axis)} frames of a target on the table"
+    if stepped:
+        return "no capture with role 'axis': from the stepped cylinder"
+    alone = "; only a stepped cylinder shows the axis alone" if artifact else ""
+    return f"no capture with role 'axis'{alone}"
+
+
+def _mounts(captures: Sequence[Capture]) -> str:
+    """How many mounts there are of each kind of artefact."""
+    kinds = {SteppedCylinder: "a stepped cylinder", KnownCylinder: "a cylinder", KnownSphere: "a sphere"}
+    counts = Counter(kind for c in captures for known, kind in kinds.items() if isinstance(c.target, known))
+    return ", ".join(f"{n} mount{'s' if n > 1 else ''} of {kind}" for kind, n in counts.items())
+
+
+def _features(session: Session) -> str:
+    checks = sum(m.check for m in session.measurements)
+    asked = f"{len(session.measurements)} feature(s) asked for"
+    return f"{asked}, {checks} of them to check the calibration" if checks else asked

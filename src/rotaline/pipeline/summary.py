@@ -10,7 +10,9 @@ import numpy as np
 
 from rotaline import __version__
 from rotaline.calibration.model import SystemCalibration
-from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.calibration.speckle_limit import speckle_limit_at_axis
+from rotaline.calibration.verdict.model import Verdict
+from rotaline.geometry.primitives import Artifact, KnownCylinder, KnownSphere, SteppedCylinder
 from rotaline.io.report.contents import (
     CaptureSummary,
     CloudSummary,
@@ -23,7 +25,8 @@ from rotaline.io.report.contents import (
 )
 from rotaline.io.results import MeasurementEntry
 from rotaline.io.session import Capture, Frame, Session
-from rotaline.pipeline.calibrate import CalibrationParts, stored_stripes
+from rotaline.pipeline.calibrate import CalibrationParts
+from rotaline.pipeline.observe import stored_stripes
 from rotaline.pipeline.observer import Observer, Silent
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.store import StageStore
@@ -53,6 +56,16 @@ def fitted_points(entries: Sequence[MeasurementEntry], clouds: dict[str, PointCl
         points = clouds[entry.capture].points_table[m.indices[::step]]
         result.append(FittedPoints(entry.capture, entry.feature, entry.name, points, m.residuals[::step]))
     return tuple(result)
+
+
+def _without_points(entry: MeasurementEntry) -> MeasurementEntry:
+    """The entry without what it holds of every point: the report draws :func:`fitted_points`."""
+    m = entry.measurement
+    if m is None:
+        return entry
+    none = np.zeros(0)
+    bare = dataclasses.replace(m, indices=none.astype(int), residuals=none, responses={}, normals=np.zeros((0, 3)))
+    return dataclasses.replace(entry, measurement=bare)
 
 
 def frame_overlays(
@@ -120,6 +133,7 @@ def report_contents(
     initial_entries: tuple[MeasurementEntry, ...],
     fitted: tuple[FittedPoints, ...],
     overlays: tuple[FrameOverlay, ...],
+    verdict: Verdict | None,
 ) -> ReportContents:
     """Everything that the report shows."""
     return ReportContents(
@@ -149,15 +163,18 @@ def report_contents(
         calibration=system,
         clouds=clouds,
         surfaces=surfaces,
-        measurements=entries,
-        measurements_initial_axis=initial_entries,
+        measurements=tuple(_without_points(e) for e in entries),
+        measurements_initial_axis=tuple(_without_points(e) for e in initial_entries),
         overlays=overlays,
         fitted_points=fitted,
         artifacts={c.folder: c.target for c in session.captures if isinstance(c.target, SteppedCylinder)},
+        joint=parts.joint if parts else None,
+        verdict=verdict,
+        speckle_limit=speckle_limit_at_axis(session.optics, system) if session.optics and system else None,
     )
 
 
-def _describe(target: Target | SteppedCylinder) -> str:
+def _describe(target: Target | Artifact) -> str:
     match target:
         case Checkerboard((columns, rows), pitch):
             return f"checkerboard, {columns} x {rows} inner corners, pitch {pitch:g} mm"
@@ -168,8 +185,18 @@ def _describe(target: Target | SteppedCylinder) -> str:
             return (
                 f"ChArUco board, {columns} x {rows} squares, pitch {pitch:g} mm, markers {marker:g} mm of {dictionary}"
             )
-        case SteppedCylinder(d1, d2, h1, h2):
-            return f"stepped cylinder, diameters {d1:g} / {d2:g} mm, heights {h1:g} / {h2:g} mm"
+        case SteppedCylinder(d1, d2, h1, h2, tolerance):
+            sizes = f"diameters {d1:g} / {d2:g} mm, heights {h1:g} / {h2:g} mm"
+            return f"stepped cylinder, {sizes}{_within(tolerance)}"
+        case KnownCylinder(diameter, height, tolerance):
+            size = "" if height is None else f", height {height:g} mm"
+            return f"cylinder, diameter {diameter:g} mm{size}{_within(tolerance)}"
+        case KnownSphere(diameter, tolerance):
+            return f"sphere, diameter {diameter:g} mm{_within(tolerance)}"
+
+
+def _within(tolerance: float) -> str:
+    return f", each within {tolerance:g} mm" if tolerance else ""
 
 
 def versions() -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.geometry.primitives import Artifact
 from rotaline.simulation.imaging.raycast import Placed
 from rotaline.simulation.parts.boards import Plate
 from rotaline.simulation.parts.material import Material
@@ -51,18 +51,19 @@ class CapturePlan:
 
 @dataclass(frozen=True)
 class MeasurementPlan:
-    """An entry of ``[[measurements]]``; ``reference`` in mm."""
+    """An entry of ``[[measurements]]``; ``reference`` in mm; ``check``: it judges the calibration."""
 
     capture: str
     feature: str
     reference: Mapping[str, float] = field(default_factory=dict)
+    check: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class SessionPlan:
     """A whole session; ``seed`` fixes the noise of every frame."""
 
-    targets: Mapping[str, Target | SteppedCylinder]
+    targets: Mapping[str, Target | Artifact]
     captures: tuple[CapturePlan, ...]
     measurements: tuple[MeasurementPlan, ...] = ()
     image_format: str = "png"

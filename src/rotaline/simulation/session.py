@@ -15,8 +15,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rotaline.errors import OutputError
-from rotaline.geometry.primitives import SteppedCylinder
-from rotaline.simulation.imaging.render import render_frame
+from rotaline.geometry.primitives import Artifact, KnownCylinder, KnownSphere, SteppedCylinder
+from rotaline.simulation.imaging.render import focus_distance_mm, render_frame
+from rotaline.simulation.imaging.speckle import contrast, grain_px
+from rotaline.simulation.parts.material import Material
 from rotaline.simulation.plan import CapturePlan, SessionPlan, Shot
 from rotaline.simulation.rig import Rig
 from rotaline.simulation.truth import fingerprint, image_name, true_poses, truth, truth_path
@@ -28,13 +30,24 @@ _FINGERPRINT_FILE = "fingerprint"
 _UNFINISHED = ".part"
 
 
-def _target_fields(target: Target | SteppedCylinder) -> dict[str, Any]:
-    if isinstance(target, SteppedCylinder):
+def _artifact_fields(artifact: Artifact) -> dict[str, Any]:
+    tolerance = {"tolerance": artifact.tolerance} if artifact.tolerance else {}
+    if isinstance(artifact, SteppedCylinder):
         return {
             "kind": "stepped-cylinder",
-            "diameters": [target.diameter_small, target.diameter_large],
-            "heights": [target.height_small, target.height_large],
+            "diameters": [artifact.diameter_small, artifact.diameter_large],
+            "heights": [artifact.height_small, artifact.height_large],
+            **tolerance,
         }
+    if isinstance(artifact, KnownCylinder):
+        height = {} if artifact.height is None else {"height": artifact.height}
+        return {"kind": "cylinder", "diameter": artifact.diameter, **height, **tolerance}
+    return {"kind": "sphere", "diameter": artifact.diameter, **tolerance}
+
+
+def _target_fields(target: Target | Artifact) -> dict[str, Any]:
+    if isinstance(target, SteppedCylinder | KnownCylinder | KnownSphere):
+        return _artifact_fields(target)
     if isinstance(target, Checkerboard):
         return {"kind": "checkerboard", "inner_corners": list(target.inner_corners), "pitch": target.pitch}
     if isinstance(target, DotGrid):
@@ -54,9 +67,20 @@ def _lines(fields: Mapping[str, Any]) -> list[str]:
     return [f"{key} = {json.dumps(value)}" for key, value in fields.items()]
 
 
-def session_toml(plan: SessionPlan) -> str:
+def _optics_fields(rig: Rig) -> dict[str, float]:
+    """What the session states of lens, sensor and laser; the contrast is that of a rough surface."""
+    grain = grain_px(rig.laser, rig.optics, rig.camera.fx, focus_distance_mm(rig))
+    return {
+        "f_number": rig.optics.f_number,
+        "pixel_pitch_um": rig.optics.pixel_pitch_um,
+        "wavelength_nm": rig.laser.wavelength_nm,
+        "speckle_contrast": round(contrast(rig.laser, grain, Material().roughness_um), 4),
+    }
+
+
+def session_toml(plan: SessionPlan, rig: Rig) -> str:
     """The text of ``session.toml``."""
-    lines = ["# lengths in mm, angles in deg", "version = 1", ""]
+    lines = ["# lengths in mm, angles in deg", "version = 1", "", "[optics]", *_lines(_optics_fields(rig)), ""]
     for name, target in plan.targets.items():
         if any(capture.target == name for capture in plan.captures):
             lines += [f"[targets.{name}]", *_lines(_target_fields(target)), ""]
@@ -65,7 +89,8 @@ def session_toml(plan: SessionPlan) -> str:
         fields |= {} if capture.target is None else {"target": capture.target}
         lines += ["[[captures]]", *_lines(fields), ""]
     for measurement in plan.measurements:
-        lines += ["[[measurements]]", *_lines({"capture": measurement.capture, "feature": measurement.feature})]
+        fields = {"capture": measurement.capture, "feature": measurement.feature}
+        lines += ["[[measurements]]", *_lines(fields | ({"check": True} if measurement.check else {}))]
         if measurement.reference:
             lines += ["[measurements.reference]", *_lines(measurement.reference)]
         lines.append("")
@@ -182,7 +207,7 @@ def _write_into(
     progress: Callable[[], None] | None,
     threads: int,
 ) -> None:
-    (folder / "session.toml").write_text(session_toml(plan), encoding="utf-8")
+    (folder / "session.toml").write_text(session_toml(plan, rig), encoding="utf-8")
     jobs, poses = [], true_poses(rig, plan)
     for c, capture in enumerate(plan.captures):
         (folder / capture.folder).mkdir(exist_ok=True)

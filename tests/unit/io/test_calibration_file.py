@@ -1,10 +1,12 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from rotaline.calibration.model import AngleError, SystemCovariance
 from rotaline.errors import SessionError
-from rotaline.geometry.primitives import Line, Plane
+from rotaline.geometry.primitives import Line, Plane, SheetCurvature
 from rotaline.io.calibration_file import CalibrationFile, read_calibration, write_calibration
 from rotaline.vision.camera import CameraModel
 
@@ -17,6 +19,14 @@ CONTENT = CalibrationFile(
     True,
     {"camera": {"rms_px": 0.03, "u": [float("nan")]}},
     "session",
+)
+NAMES = ("fx", "k1", "plane_turn_1", "plane_offset", "curvature_uv", "axis_turn_x", "axis_shift_y", "angle_cos")
+MIXED = np.random.default_rng(1).normal(size=(8, 8))
+JOINT = replace(
+    CONTENT,
+    laser_curvature=SheetCurvature(np.array([1.0, 2.0, 170.0]), (1e-5, -2e-5, 3e-5)),
+    angle_error=AngleError(1e-4, -2e-4),
+    covariance=SystemCovariance(NAMES, MIXED @ MIXED.T, np.array([1.0, 2.0, 170.0]), np.array([1.0, 21.0, 280.0])),
 )
 
 
@@ -43,6 +53,58 @@ def test_the_fields_that_other_programs_read(tmp_path):
     assert document["turn_sense"] == -1
 
 
+def test_the_joint_estimate_comes_back_whole(tmp_path):
+    write_calibration(tmp_path / "c.json", JOINT)
+    system = read_calibration(tmp_path / "c.json").system()
+    assert (system.laser_curvature.origin == JOINT.laser_curvature.origin).all()
+    assert system.laser_curvature.coefficients == JOINT.laser_curvature.coefficients
+    assert system.angle_error == JOINT.angle_error
+    assert system.covariance.names == NAMES
+    assert (system.covariance.matrix == JOINT.covariance.matrix).all()
+    assert (system.covariance.plane_pivot_camera == JOINT.covariance.plane_pivot_camera).all()
+    assert (system.covariance.axis_pivot_camera == JOINT.covariance.axis_pivot_camera).all()
+
+
+def test_the_initial_axis_has_neither_angle_error_nor_covariance():
+    system = JOINT.system(initial_axis=True)
+    assert system.covariance is None
+    assert system.angle_error == AngleError()
+    assert system.laser_curvature is JOINT.laser_curvature
+
+
+def test_other_programs_find_units_and_meanings_in_the_file(tmp_path):
+    write_calibration(tmp_path / "c.json", JOINT)
+    document = json.loads((tmp_path / "c.json").read_text())
+    covariance, sheet = document["covariance"], document["laser_curvature"]
+    assert covariance["units"] == ["px", "1", "rad", "mm", "1/mm", "rad", "mm", "rad"]
+    assert all(covariance["meaning"][name] for name in NAMES)
+    basis = np.array([sheet["u_direction"], sheet["v_direction"], document["laser_plane_camera"]["normal"]])
+    assert basis @ basis.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert (sheet["uu"], sheet["uv"], sheet["vv"]) == (1e-5, -2e-5, 3e-5)
+
+
+def test_a_file_of_an_earlier_version_has_no_covariance(tmp_path):
+    write_calibration(tmp_path / "c.json", JOINT)
+    document = json.loads((tmp_path / "c.json").read_text())
+    for key in ("covariance", "laser_curvature", "angle_error"):
+        document.pop(key)
+    (tmp_path / "c.json").write_text(json.dumps(document))
+    system = read_calibration(tmp_path / "c.json").system()
+    assert system.covariance is None
+    assert system.laser_curvature is None
+    assert system.angle_error == AngleError()
+
+
+def test_pivots_that_mean_nothing_come_back_as_missing(tmp_path):
+    """Without a turntable no axis parameter is named, and its pivot is nowhere."""
+    names = ("fx", "plane_offset")
+    covariance = SystemCovariance(names, np.eye(2), np.zeros(3), np.full(3, np.nan))
+    write_calibration(tmp_path / "c.json", replace(CONTENT, covariance=covariance))
+    back = read_calibration(tmp_path / "c.json").covariance
+    assert back.names == names
+    assert np.isnan(back.axis_pivot_camera).all()
+
+
 def test_a_calibration_without_an_axis_makes_no_system(tmp_path):
     write_calibration(tmp_path / "c.json", CalibrationFile(CONTENT.camera, None, None, None, 1, False, {}))
     back = read_calibration(tmp_path / "c.json")
@@ -59,10 +121,15 @@ def test_a_calibration_without_an_axis_makes_no_system(tmp_path):
         (lambda d: d.update(version=2), "version"),
         (lambda d: d.update(turn_sense=0), "turn_sense"),
         (lambda d: d["laser_plane_camera"].update(normal=[1.0, 2.0]), "normal"),
+        (lambda d: d["covariance"]["names"].__setitem__(0, "focus"), r"covariance\.names: found focus"),
+        (lambda d: d["covariance"]["names"].pop(), r"covariance\.matrix: .* 7 rows of 7"),
+        (lambda d: d["covariance"]["matrix"][2].pop(), r"covariance\.matrix: .* 8 rows of 8"),
+        (lambda d: d.update(laser_curvature=None), r"covariance\.names: found curvature_uv"),
+        (lambda d: d["angle_error"].pop("sin"), r"angle_error\.sin"),
     ],
 )
 def test_a_wrong_field_is_named(tmp_path, change, says):
-    write_calibration(tmp_path / "c.json", CONTENT)
+    write_calibration(tmp_path / "c.json", JOINT)
     document = json.loads((tmp_path / "c.json").read_text())
     change(document)
     (tmp_path / "c.json").write_text(json.dumps(document))

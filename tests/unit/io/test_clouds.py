@@ -11,7 +11,8 @@ RNG = np.random.default_rng(5)
 
 def _cloud(n):
     points = RNG.normal(size=(n, 3)) * 50
-    return PointCloud(points, points, np.arange(n) * 1.0, np.linspace(0, 6, n), np.arange(n), np.full(n, 0.004))
+    u_noise, u_calibration = np.full(n, 0.004), np.linspace(0.001, 0.002, n)
+    return PointCloud(points, points, np.arange(n) * 1.0, np.linspace(0, 6, n), np.arange(n), u_noise, u_calibration)
 
 
 def test_a_cloud_is_readable_with_all_its_properties(tmp_path):
@@ -20,7 +21,8 @@ def test_a_cloud_is_readable_with_all_its_properties(tmp_path):
     assert read_points(tmp_path / "c.ply") == pytest.approx(cloud.points_table, abs=2e-5)
     vertex = trimesh.load(tmp_path / "c.ply").metadata["_ply_raw"]["vertex"]["data"]
     assert vertex["angle_deg"].ravel() == pytest.approx(np.degrees(cloud.angle_rad), abs=1e-3)
-    assert vertex["u_mm"].ravel() == pytest.approx(0.004)
+    assert vertex["u_noise"].ravel() == pytest.approx(0.004)
+    assert vertex["u_calibration"].ravel() == pytest.approx(cloud.u_calibration_mm)
     assert (vertex["frame"].ravel() == cloud.frame).all()
 
 

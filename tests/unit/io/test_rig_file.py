@@ -7,9 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotaline.errors import RigError
+from rotaline.geometry.primitives import KnownCylinder, KnownSphere, SteppedCylinder
 from rotaline.io.rig_file import PRESETS, parse_rig, preset_text, quick_look, read_preset, read_rig_file
 from rotaline.io.rig_tables import CaptureTable
 from rotaline.io.rig_values import angles_deg, rig_of, shape_of
+from rotaline.io.session_file import parse_session_file
+from rotaline.simulation.session import session_toml
 
 SMALL = """version = 1
 [camera]
@@ -293,6 +296,41 @@ def test_a_quick_look_sees_the_same_with_half_the_pixels():
 
 
 @pytest.mark.parametrize(
+    ("part", "artifact"),
+    [
+        ('kind = "sphere"\ndiameter_mm = 28.475', KnownSphere(28.475)),
+        (
+            'kind = "cylinder"\ndiameter_mm = 38.0\nheight_mm = 40.0\ntolerance_mm = 0.01',
+            KnownCylinder(38.0, 40.0, 0.01),
+        ),
+        (
+            'kind = "stepped-cylinder"\ndiameters_mm = [20.0, 30.0]\nheights_mm = [15.0, 16.0]\ntolerance_mm = 0.002',
+            SteppedCylinder(20.0, 30.0, 15.0, 16.0, 0.002),
+        ),
+    ],
+)
+def test_a_session_states_its_artefacts_and_checks(tmp_path, part, artifact):
+    text = f"""{SMALL}[parts.a]
+{part}
+[[captures]]
+folder = "a"
+role = "artifact"
+part = "a"
+[[measurements]]
+capture = "ball"
+feature = "sphere"
+check = true
+"""
+    file = parse_rig(text, "rig.toml")
+    (tmp_path / "session.toml").write_text(session_toml(file.plan(), file.rig()))
+    content, problems = parse_session_file(tmp_path / "session.toml")
+    assert problems == []
+    assert content.targets == {"a": artifact}  # the ball is scanned only
+    assert [(c.role, c.target) for c in content.captures] == [("scan", "ball"), ("artifact", "a")]
+    assert [(m.check, m.reference) for m in content.measurements] == [(True, {"diameter": 28.475})]
+
+
+@pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         (
@@ -317,7 +355,21 @@ def test_a_quick_look_sees_the_same_with_half_the_pixels():
         ('part = "ball"', 'part = "ball"\nframes = 3\nstep_deg = 2', r"both frames and step_deg"),
         ('part = "ball"', 'part = "ball"\nto_deg = 0', r"captures\[1\].to_deg: found 0"),
         ('part = "ball"', 'part = "ball"\nmount = { tilt = 3 }', r"mount.tilt: there is no such key; .*tilt_deg"),
-        ('role = "scan"', 'role = "artifact"', r"'ball' is a sphere; role 'artifact' needs a stepped-cylinder"),
+        (
+            'role = "scan"\npart = "ball"\n',
+            'role = "artifact"\npart = "a"\n[parts.a]\nkind = "block"\nwidth_mm = 9\nlength_mm = 9\nheight_mm = 9\n',
+            r"'a' is a block; role 'artifact' needs a stepped-cylinder, cylinder or sphere",
+        ),
+        (
+            'role = "scan"\npart = "ball"\n',
+            'role = "artifact"\npart = "ball"\n[[measurements]]\ncapture = "ball"\nfeature = "sphere"\ncheck = true\n',
+            r"measurements\[1\].check: 'ball' takes part in the calibration",
+        ),
+        (
+            'part = "ball"\n',
+            'part = "ball"\n[[measurements]]\ncapture = "ball"\nfeature = "plane"\ncheck = true\n',
+            r"measurements\[1\].check: a check of a plane needs a reference",
+        ),
         ("version = 1", "version = 2", r"line 1, version: found 2, expected 1"),
         ("version = 1", 'preset = "show"', r"line 1, preset: preset 'show': there is no such preset"),
         ("version = 1", "version = ", r"rig.toml, line 1: this is not valid TOML"),

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from rotaline.errors import SessionError
-from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.geometry.primitives import KnownCylinder, KnownSphere, SteppedCylinder
 from rotaline.io.session import inspect_session, read_session
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid
 
@@ -120,6 +120,22 @@ def _edit(folder, name, old, new):
         ("session.toml", "[18, 16]", "[18, 1]", r"inner_corners\[2\]: found 1"),
         ("session.toml", "[23.051, 36.006]", "[36.006, 23.051]", r"expected \[small \(upper\), large"),
         ("session.toml", "marker = 6.0", "marker = 9.0", r"marker"),
+        ("session.toml", "25.005]", "25.005]\ntolerance = -0.1", r"line 24, targets.step.tolerance: found -0.1"),
+        (
+            "session.toml",
+            "25.005]",
+            "25.005]\ntolerance = 2.3",
+            r"step.tolerance: found 2.3 mm, expected less than a tenth",
+        ),
+        ("session.toml", 'target = "step"', 'target = "dots"', r"expected a stepped-cylinder, cylinder or sphere"),
+        ("session.toml", "[measurements.reference]\ndiameter = 28.475", "check = true", r"check: .* known sizes"),
+        ("session.toml", 'feature = "sphere"', 'feature = "sphere"\ncheck = 1', r"measurements\[1\].check: found 1"),
+        (
+            "session.toml",
+            'capture = "ball"',
+            'capture = "step-1"\ncheck = true',
+            r"line 42, measurements\[1\].check: 'step-1' is an artefact and takes part in the calibration",
+        ),
         ("session.toml", 'role = "scan"', "role = scan", r"line 37: this is not valid TOML"),
         ("session.toml", 'capture = "ball"', 'capture = "bal"', r"no scan capture 'bal'"),
         ("session.toml", 'folder = "ball"', 'folder = "bowl"', r"no folder 'bowl'"),
@@ -135,6 +151,41 @@ def test_what_is_wrong_is_said_with_its_place(folder, file, old, new, says):
     _edit(folder, file, old, new)
     with pytest.raises(SessionError, match=says):
         read_session(folder)
+
+
+@pytest.mark.parametrize(
+    ("table", "artifact"),
+    [
+        ('kind = "sphere"\ndiameter = 28.475', KnownSphere(28.475)),
+        ('kind = "sphere"\ndiameter = 28.475\ntolerance = 0.002', KnownSphere(28.475, 0.002)),
+        ('kind = "cylinder"\ndiameter = 38', KnownCylinder(38.0)),
+        ('kind = "cylinder"\ndiameter = 38\nheight = 40\ntolerance = 0.01', KnownCylinder(38.0, 40.0, 0.01)),
+        (
+            'kind = "stepped-cylinder"\ndiameters = [20, 30]\nheights = [15, 16]\ntolerance = 0',
+            SteppedCylinder(20.0, 30.0, 15.0, 16.0, 0.0),
+        ),
+    ],
+)
+def test_artefacts_of_every_kind(folder, table, artifact):
+    _edit(
+        folder,
+        "session.toml",
+        '[[captures]]\nfolder = "camera"',
+        f'[targets.a]\n{table}\n[[captures]]\nfolder = "camera"',
+    )
+    _edit(folder, "session.toml", 'target = "step"', 'target = "a"')
+    session = read_session(folder)
+    assert session.problems == ()
+    assert session.in_role("artifact")[0].target == artifact
+
+
+def test_a_check_is_marked_as_such(folder):
+    assert [m.check for m in read_session(folder).measurements] == [False]
+    _edit(folder, "session.toml", 'feature = "sphere"', 'feature = "sphere"\ncheck = true')
+    session = read_session(folder)
+    assert session.problems == ()
+    assert session.measurements[0].check
+    assert session.measurements[0].reference == {"diameter": 28.475}
 
 
 def test_a_frame_that_is_missing_or_cut_off_is_left_out_and_named(folder):

@@ -3,13 +3,13 @@ import pytest
 
 from rotaline.io.rig_file import read_preset
 from rotaline.io.rig_values import shape_of
-from rotaline.pipeline.options import Options
+from rotaline.pipeline.options import ARTICLE_OPTIONS
 from rotaline.pipeline.reproduce.article import (
-    ARTICLE_OPTIONS,
     LARGE_CYLINDER,
     PART_TABLES,
     SMALL_CYLINDER,
     STEPPED_CYLINDER,
+    STEPWISE_OPTIONS,
 )
 from rotaline.pipeline.reproduce.plan import PARTS
 from rotaline.pipeline.reproduce.rows import changed_options
@@ -44,9 +44,9 @@ def test_the_rig_carries_the_parts_of_the_article():
 
 
 def test_the_method_of_the_article_is_named_by_its_options():
-    changed = changed_options(ARTICLE_OPTIONS, Options())
+    changed = changed_options(ARTICLE_OPTIONS, STEPWISE_OPTIONS)
     assert changed["cross_ratio.dots"] == ("triple", "row")
     assert changed["axis.method"][0] == "circles"
     assert ARTICLE_OPTIONS.artifact.method == "sqp"
     assert (ARTICLE_OPTIONS.artifact.tolerance, ARTICLE_OPTIONS.artifact.max_iterations) == (1e-8, 150)
-    assert changed_options(Options(), Options()) == {}
+    assert changed_options(STEPWISE_OPTIONS, STEPWISE_OPTIONS) == {}

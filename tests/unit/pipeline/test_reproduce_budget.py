@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotaline.io.report.reproduction import BudgetLevel, BudgetSource
-from rotaline.pipeline.reproduce.article import ARTICLE_OPTIONS
+from rotaline.pipeline.options import ARTICLE_OPTIONS
 from rotaline.pipeline.reproduce.budget import (
     article_figures,
     conclusion,

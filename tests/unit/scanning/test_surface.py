@@ -19,7 +19,7 @@ def scan(solids: tuple[Solid, ...], plan: ScanPlan = PLAN) -> PointCloud:
     eye = scanned.viewpoints_table
     angle = np.round(np.arctan2(eye[:, 1], eye[:, 0]), 9)
     frame = np.unique(angle, return_inverse=True)[1].astype(np.int64)
-    return PointCloud(scanned.points_table, eye, np.ones(n), angle, frame, np.full(n, 0.005))
+    return PointCloud(scanned.points_table, eye, np.ones(n), angle, frame, np.full(n, 0.005), np.full(n, np.nan))
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,14 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotaline.calibration.model import SystemCalibration
-from rotaline.geometry.primitives import Line, Plane, unit
+from rotaline.calibration.model import AngleError, SystemCalibration
+from rotaline.geometry.primitives import Line, Plane, SheetCurvature, unit
 from rotaline.geometry.transforms import rotate_about_line
+from rotaline.scanning.cloud import read_angles_rad
 from rotaline.scanning.triangulation import move_to_axis, scan_cloud, triangulate
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.stripe.model import StripePoints
@@ -77,7 +80,41 @@ def test_empty_frames_keep_their_number():
     assert len(scan_cloud([nothing], np.zeros(1), _system(1))) == 0
 
 
-def test_moving_a_cloud_to_another_axis_is_scanning_with_that_axis():
+@pytest.mark.parametrize("sense", [1, -1])
+def test_an_error_of_the_read_out_is_taken_off_before_the_sense(sense):
+    _, uv = _seen(AXIS.point + np.array([[12.0, 3.0, -8.0]]))
+    error = AngleError(2e-3, -1e-3)
+    read = np.radians([20.0, 130.0, 250.0])
+    turned = read + 2e-3 * np.cos(read) - 1e-3 * np.sin(read)
+    stripes = [_stripe(uv)] * 3
+    cloud = scan_cloud(stripes, read, replace(_system(sense), angle_error=error))
+    assert cloud.points_table == pytest.approx(scan_cloud(stripes, turned, _system(sense)).points_table, abs=1e-12)
+    assert cloud.angle_rad == pytest.approx(sense * turned, abs=1e-15)
+    assert read_angles_rad(cloud.angle_rad, sense, error) == pytest.approx(read, abs=1e-14)
+
+
+def test_a_curved_sheet_gives_other_points_and_their_uncertainty():
+    _, uv = _seen(AXIS.point + np.random.default_rng(6).normal(0, 8, (20, 3)))
+    curvature = SheetCurvature(AXIS.point, (2e-4, 1e-4, -1e-4))
+    system = replace(_system(1), laser_curvature=curvature)
+    cloud = scan_cloud([_stripe(uv)], np.zeros(1), system)
+    points = system.base_from_camera.inv().apply(cloud.points_table)
+    assert CAMERA.project(points) == pytest.approx(uv, abs=1e-7)
+    off_plane = PLANE.signed_distance_to(points)
+    assert np.abs(off_plane).max() > 1e-3
+    ahead, behind = (triangulate(uv + side, CAMERA, PLANE, curvature) for side in ([[0.5, 0.0]], [[-0.5, 0.0]]))
+    assert cloud.u_mm == pytest.approx(0.05 * np.linalg.norm(ahead - behind, axis=1))
+
+
+@pytest.mark.parametrize(
+    ("old_error", "new_error"),
+    [
+        (AngleError(), AngleError()),
+        (AngleError(4e-3, 3e-3), AngleError()),
+        (AngleError(0.0, 2e-3), AngleError(1e-3, 0.0)),
+    ],
+)
+def test_moving_a_cloud_to_another_axis_is_scanning_with_that_axis(old_error, new_error):
     rng = np.random.default_rng(2)
     _, uv = _seen(AXIS.point + rng.normal(0, 8, (20, 3)))
     stripes, angles = [_stripe(uv), _stripe(uv)], np.array([0.3, 4.0])
@@ -87,9 +124,11 @@ def test_moving_a_cloud_to_another_axis_is_scanning_with_that_axis():
         Line(AXIS.point + np.array([0.3, 0.1, -0.2]), unit(AXIS.direction + np.array([0.01, 0.0, 0.0]))),
         -1,
         table_seen=False,
+        angle_error=new_error,
     )
+    old = replace(_system(1), angle_error=old_error)
     direct = scan_cloud(stripes, angles, other)
-    moved = move_to_axis(scan_cloud(stripes, angles, _system(1)), _system(1), other)
+    moved = move_to_axis(scan_cloud(stripes, angles, old), old, other)
     assert moved.points_table == pytest.approx(direct.points_table, abs=1e-9)
     assert moved.viewpoints_table == pytest.approx(direct.viewpoints_table, abs=1e-9)
     assert moved.angle_rad == pytest.approx(direct.angle_rad)

@@ -304,7 +304,7 @@ def test_a_charuco_board_is_described_with_its_markers():
     rig = _rig()
     plan = small_plan(rig, captures=("camera",))
     board = CharucoBoard((12, 9), 8.0, 6.0, "DICT_5X5_100")
-    text = session_toml(SessionPlan({"checkerboard": board}, plan.captures))
+    text = session_toml(SessionPlan({"checkerboard": board}, plan.captures), rig)
     assert tomllib.loads(text)["targets"]["checkerboard"] == {
         "kind": "charuco",
         "squares": [12, 9],

@@ -6,6 +6,33 @@ from typing import Literal
 Level = Literal["pass", "doubtful", "fail", "none"]
 """``none``: the session does not have the step."""
 
+CAUSES = (
+    "session cannot be read",
+    "over-exposure",
+    "defocus",
+    "boards nearly parallel",
+    "camera uncertain",
+    "lens model",
+    "views disagree",
+    "too few depths",
+    "target moved between off and on",
+    "drift",
+    "sheet not flat",
+    "wrong sense",
+    "sense assumed",
+    "wrong angle scale",
+    "wrong pitch",
+    "wrong artefact sizes",
+    "camera moved",
+    "steps disagree",
+    "mount too well centred",
+    "turntable eccentricity",
+    "weak direction",
+    "stage failed",
+    "wrong result",
+)
+"""What may be named as the cause of a bad calibration."""
+
 STEPS = ("session", "camera", "laser-plane", "axis", "artifact", "table", "scan", "measure")
 
 
@@ -25,7 +52,7 @@ class Finding:
 
     Attributes
     ----------
-    cause : one of :data:`rotaline.calibration.verdict.judge.CAUSES`
+    cause : one of ``CAUSES``
     step : of ``STEPS``: the step that it spoils
     level : doubtful or fail
     text : what was found, with numbers

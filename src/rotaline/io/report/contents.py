@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from rotaline.calibration.joint.model import JointCalibration
 from rotaline.calibration.model import (
     ArtifactCalibration,
     AxisCalibration,
@@ -13,6 +14,8 @@ from rotaline.calibration.model import (
     LaserPlaneCalibration,
     SystemCalibration,
 )
+from rotaline.calibration.speckle_limit import SpeckleLimit
+from rotaline.calibration.verdict.model import Verdict
 from rotaline.geometry.primitives import SteppedCylinder
 from rotaline.io.results import MeasurementEntry
 from rotaline.scanning.cloud import PointCloud
@@ -25,12 +28,25 @@ STAGES = {
     "cross-ratio": "Cross-ratio optimisation",
     "axis": "Initial axis",
     "artifact": "Axis optimisation",
+    "joint": "Joint estimate",
     "scan": "Scan",
     "measure": "Measurement",
     "surface": "Surface",
     "report": "Report",
 }
 """Names of the stages in warnings and overlays, with their titles."""
+
+STEP_TITLES = {
+    "session": "Session",
+    "camera": "Camera",
+    "laser-plane": "Laser plane",
+    "axis": "Rotation axis",
+    "artifact": "Artefact",
+    "table": "Turntable",
+    "scan": "Scan",
+    "measure": "Measurement",
+}
+"""Titles of the steps that a verdict judges."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +139,8 @@ class FittedPoints:
 class ReportContents:
     """Everything that the report shows; stages that were not done are None or empty.
 
-    ``artifacts`` holds the calibrated sizes of the stepped cylinder by the folder of its capture.
+    ``artifacts`` holds the calibrated sizes of the stepped cylinder by the folder of its capture. ``joint`` and ``verdict`` are None
+    for the article's way of calibrating, ``speckle_limit`` where the session does not state its optics.
     """
 
     run: RunInfo
@@ -143,3 +160,11 @@ class ReportContents:
     overlays: tuple[FrameOverlay, ...]
     fitted_points: tuple[FittedPoints, ...] = ()
     artifacts: dict[str, SteppedCylinder] = field(default_factory=dict)
+    joint: JointCalibration | None = None
+    verdict: Verdict | None = None
+    speckle_limit: SpeckleLimit | None = None
+
+    @property
+    def estimated_jointly(self) -> bool:
+        """The calibration was to end with the joint estimate, not in the article's way."""
+        return self.joint is not None or self.run.options.get("calibration.method") == "joint"

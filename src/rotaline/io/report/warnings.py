@@ -29,6 +29,7 @@ def _warnings_of_results(contents: ReportContents) -> Iterator[tuple[StageWarnin
         ("cross-ratio", contents.cross_ratio),
         ("axis", contents.axis),
         ("artifact", contents.artifact),
+        ("joint", contents.joint),
     )
     for stage, result in results:
         for text in result.warnings if result is not None else ():

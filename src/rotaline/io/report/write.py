@@ -6,7 +6,18 @@ from rotaline.io.files import whole_file
 from rotaline.io.report.contents import ReportContents, StageWarning
 from rotaline.io.report.page import Section, finished
 from rotaline.io.report.render import render_template
-from rotaline.io.report.sections import artifact, axis, camera, laser_plane, parts, results, run, session
+from rotaline.io.report.sections import (
+    artifact,
+    axis,
+    camera,
+    joint,
+    laser_plane,
+    parts,
+    results,
+    run,
+    session,
+    verdict,
+)
 from rotaline.io.report.warnings import collect_warnings, grouped
 
 
@@ -33,8 +44,9 @@ def render_report(contents: ReportContents) -> str:
     warnings = collect_warnings(contents)
     return render_template(
         "report.html.jinja",
-        ("report.css",),
+        ("report.css", "verdict.css"),
         run=contents.run,
+        verdict=verdict.verdict_block(contents.verdict) if contents.verdict is not None else None,
         serious=grouped(w for w in warnings if w.serious),
         ordinary=grouped(w for w in warnings if not w.serious),
         key_figures=results.key_figures(contents),
@@ -43,14 +55,19 @@ def render_report(contents: ReportContents) -> str:
 
 
 def _sections(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> list[Section]:
+    """The sections in their order; the first one holds the measured features."""
+    if contents.estimated_jointly:
+        plane = [laser_plane.plane_section(contents, warnings)]
+        axes = [axis.section(contents, warnings), joint.section(contents, warnings)]
+    else:
+        plane = [laser_plane.plane_section(contents, warnings), laser_plane.cross_ratio_section(contents, warnings)]
+        axes = [axis.section(contents, warnings), artifact.section(contents, warnings)]
     return [
         results.section(contents),
         session.section(contents, warnings),
         camera.section(contents, warnings),
-        laser_plane.plane_section(contents, warnings),
-        laser_plane.cross_ratio_section(contents, warnings),
-        axis.section(contents, warnings),
-        artifact.section(contents, warnings),
+        *plane,
+        *axes,
         parts.scan_section(contents, warnings),
         parts.surface_section(contents, warnings),
         parts.feature_section(contents, warnings),

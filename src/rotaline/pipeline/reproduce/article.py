@@ -1,4 +1,4 @@
-"""What the article prints: the figures to compare with, and its method as options of this program.
+"""What the article prints: the figures to compare with.
 
 Lengths in mm. Where the text of the article contradicts its own tables (section 6.2 gives an average error of the ball of 0.0059 mm
 and a largest of 0.0136 mm, table 3 has 0.0043 and 0.0079), the tables count. In table 4 the first diameter, 38.0278, is 0.0238 from the
@@ -11,22 +11,11 @@ References
 
 from dataclasses import dataclass
 
-from rotaline.calibration.artifact import ArtifactOptions
-from rotaline.calibration.cross_ratio import CrossRatioOptions
-from rotaline.calibration.intrinsics import CameraOptions
-from rotaline.calibration.rotation_axis import AxisOptions
 from rotaline.geometry.primitives import SteppedCylinder
-from rotaline.pipeline.options import Options
-from rotaline.vision.stripe.extract import StripeOptions
+from rotaline.pipeline.options import CalibrationOptions, Options
 
-ARTICLE_OPTIONS = Options(
-    camera=CameraOptions(weak_parameters="free", board="flat"),
-    stripe=StripeOptions(method="improved-gray-gravity", average_px=0),
-    cross_ratio=CrossRatioOptions(method="sqp", tolerance=1e-8, max_iterations=150, dots="triple"),
-    axis=AxisOptions(method="circles"),
-    artifact=ArtifactOptions(method="sqp", tolerance=1e-8, max_iterations=150),
-)
-"""The method of the article: Zhang's camera as it is, three dots a row, circles, one mount, SQP on the mean distance."""
+STEPWISE_OPTIONS = Options(calibration=CalibrationOptions(method="article"))
+"""The article's stages with the defaults of this program."""
 
 STEPPED_CYLINDER = SteppedCylinder(23.051, 36.006, 22.003, 25.005)
 """Section 5.5."""

@@ -13,8 +13,8 @@ from rotaline.io.report.reproduction import Budget, BudgetLevel, BudgetSource
 from rotaline.io.rig_file import RigFile
 from rotaline.io.rig_values import shape_of
 from rotaline.pipeline.observer import Observer
+from rotaline.pipeline.options import ARTICLE_OPTIONS
 from rotaline.pipeline.reproduce.article import (
-    ARTICLE_OPTIONS,
     LARGE_CYLINDER,
     MEAN_DISTANCE_MM,
     PART_TABLES,

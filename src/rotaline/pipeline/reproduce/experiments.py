@@ -19,15 +19,15 @@ from rotaline.io.report.reproduction import (
 )
 from rotaline.pipeline.calibrate import CalibrationParts
 from rotaline.pipeline.compare_truth import best_rotation
-from rotaline.pipeline.options import Options
+from rotaline.pipeline.options import ARTICLE_OPTIONS
 from rotaline.pipeline.reproduce.article import (
-    ARTICLE_OPTIONS,
     CAMERA_MEAN_ERROR_PX,
     INTERVAL_RMSE_MM,
     MEAN_DISTANCE_MM,
     SIMULATED_BEFORE_MM,
     SIMULATED_MEAN_DISTANCE_MM,
     STEPPED_CYLINDER,
+    STEPWISE_OPTIONS,
 )
 from rotaline.pipeline.reproduce.plan import mount_names
 from rotaline.pipeline.reproduce.rows import average, error_figure, list_table, plain_figure
@@ -59,7 +59,7 @@ def calibrate_all(bench: Workbench) -> Calibrations:
     CalibrationError
         If a calibration lacks a part; the message holds its warnings.
     """
-    names, defaults = mount_names(), Options()
+    names, defaults = mount_names(), STEPWISE_OPTIONS
     stepped = [f"stepped-{name}" for name in names]
     article = [bench.calibrate((*SENSOR, f"axis-{n}", f"stepped-{n}"), ARTICLE_OPTIONS) for n in names]
     initial = [bench.calibrate((*SENSOR, f"axis-{n}"), defaults) for n in names]
@@ -114,7 +114,7 @@ def sensor_section(bench: Workbench, rig: Rig) -> SensorSection:
     CalibrationError
         If one of them failed.
     """
-    ours = bench.calibrate(SENSOR, ARTICLE_OPTIONS), bench.calibrate(SENSOR, Options())
+    ours = bench.calibrate(SENSOR, ARTICLE_OPTIONS), bench.calibrate(SENSOR, STEPWISE_OPTIONS)
     for parts in ours:
         _require(parts, None not in (parts.camera, parts.laser_plane, parts.cross_ratio))
     cameras = [parts.camera for parts in ours if parts.camera is not None]

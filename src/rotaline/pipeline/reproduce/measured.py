@@ -9,16 +9,16 @@ from rotaline.calibration.artifact import ArtifactCapture, optimise_axis
 from rotaline.calibration.model import SystemCalibration
 from rotaline.geometry.primitives import Line, unit
 from rotaline.io.report.reproduction import Comparison, ComparisonTable, PartsSection, SensorSection, TableRow
-from rotaline.pipeline.options import Options
+from rotaline.pipeline.options import ARTICLE_OPTIONS, Options
 from rotaline.pipeline.parts import artifact_sizes
 from rotaline.pipeline.reproduce.article import (
-    ARTICLE_OPTIONS,
     CLAIMED_REDUCTION_PERCENT,
     CLAIMED_RELATIVE_PERCENT,
     LARGE_CYLINDER,
     PART_TABLES,
     SMALL_CYLINDER,
     STEPPED_CYLINDER,
+    STEPWISE_OPTIONS,
     PartTable,
 )
 from rotaline.pipeline.reproduce.experiments import Calibrations, system_of
@@ -51,8 +51,8 @@ def stepped_table(bench: Workbench, found: Calibrations) -> ComparisonTable:
         errors = (
             _stepped(bench, name, system_of(article, initial=True), ARTICLE_OPTIONS, f"initial axis of {name}"),
             _stepped(bench, name, system_of(article), ARTICLE_OPTIONS, f"axis of {name}"),
-            _stepped(bench, name, system_of(initial), Options(), f"initial axis of {name}, default"),
-            _stepped(bench, name, system_of(found.together), Options(), "axis of all mounts"),
+            _stepped(bench, name, system_of(initial), STEPWISE_OPTIONS, f"initial axis of {name}, default"),
+            _stepped(bench, name, system_of(found.together), STEPWISE_OPTIONS, "axis of all mounts"),
         )
         rows.append(TableRow(name, _before_and_after(k, *errors)))
     printed = [
@@ -77,7 +77,7 @@ def disturbed_table(bench: Workbench, found: Calibrations, rig: Rig) -> Comparis
         errors = []
         for parts, options, by in (
             (found.article[0], ARTICLE_OPTIONS, "article"),
-            (found.together, Options(), "default"),
+            (found.together, STEPWISE_OPTIONS, "default"),
         ):
             system = system_of(parts, initial=True)
             start = replace(system, rotation_axis_camera=_disturbed(rig, *deltas))
@@ -166,14 +166,14 @@ def parts_section(bench: Workbench, found: Calibrations) -> PartsSection:
             capture = f"{part.name}-{k + 1}"
             pair = (
                 bench.measure(capture, part.feature, reference, article, ARTICLE_OPTIONS, "axis of W1"),
-                bench.measure(capture, part.feature, reference, ours, Options(), "axis of all mounts"),
+                bench.measure(capture, part.feature, reference, ours, STEPWISE_OPTIONS, "axis of all mounts"),
             )
             values = [e.measurement.value[part.key] if e.measurement else None for e in pair]
             rows.append(TableRow(str(k + 1), _part_cells(table, k, values)))
             failures += [f"Position {k + 1}: {e.failure}" for e in pair if e.measurement is None]
             if k == 0 and pair[1].measurement is not None:
                 firsts.append(pair[1])
-                clouds[capture] = bench.cloud(capture, ours, Options())
+                clouds[capture] = bench.cloud(capture, ours, STEPWISE_OPTIONS)
         columns = tuple(f"{c.quantity} / {c.unit}" for c in rows[0].cells)
         rows.append(TableRow("Average", tuple(average([r.cells[i] for r in rows]) for i in range(len(columns)))))
         tables.append(

@@ -10,8 +10,8 @@ from typing import TypeVar
 from rotaline.errors import CalibrationError, DetectionError, GeometryError, MeasurementError
 from rotaline.io.report.reproduction import Reproduction, ReproductionInfo
 from rotaline.pipeline.observer import Observer
-from rotaline.pipeline.options import Options
-from rotaline.pipeline.reproduce.article import ARTICLE_OPTIONS
+from rotaline.pipeline.options import ARTICLE_OPTIONS
+from rotaline.pipeline.reproduce.article import STEPWISE_OPTIONS
 from rotaline.pipeline.reproduce.budget import BudgetBench, make_budget
 from rotaline.pipeline.reproduce.complex import complex_parts_section
 from rotaline.pipeline.reproduce.experiments import (
@@ -72,7 +72,8 @@ def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: in
         parts = attempts.do("Tables 3 to 5", lambda: parts_section(bench, found))
         final = system_of(found.together)
         complex_section = attempts.do(
-            "Figure 16", lambda: complex_parts_section(bench, store, complex_sessions, shapes, final, rig, Options())
+            "Figure 16",
+            lambda: complex_parts_section(bench, store, complex_sessions, shapes, final, rig, STEPWISE_OPTIONS),
         )
     simulation = simulation_section()
     claims = claims_table(sensor, mounts.table if mounts else None, stepped, disturbed, parts)
@@ -83,9 +84,9 @@ def reproduce(folder: Path, observer: Observer, *, quick: bool = False, seed: in
         quick=quick,
         rig="article",
         image_size=rig.camera.image_size,
-        seeds={"poses, mounts and noise": seed, "search of features": Options().measure.seed},
+        seeds={"poses, mounts and noise": seed, "search of features": STEPWISE_OPTIONS.measure.seed},
         rule=RULE,
-        changed_options=changed_options(ARTICLE_OPTIONS, Options()),
+        changed_options=changed_options(ARTICLE_OPTIONS, STEPWISE_OPTIONS),
         finished_at=datetime.now().astimezone().isoformat(timespec="seconds"),
         seconds=time.perf_counter() - start,
         versions=versions(),

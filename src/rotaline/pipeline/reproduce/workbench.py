@@ -9,8 +9,9 @@ from rotaline.io.report.contents import FrameOverlay
 from rotaline.io.results import MeasurementEntry
 from rotaline.io.session import Capture, Session
 from rotaline.io.session_file import MeasurementRequest
-from rotaline.pipeline.calibrate import CalibrationParts, Calibrator, stored_stripes
+from rotaline.pipeline.calibrate import CalibrationParts, calibrate_session
 from rotaline.pipeline.frames import CaptureStripes
+from rotaline.pipeline.observe import stored_stripes
 from rotaline.pipeline.observer import Observer, Silent
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.parts import make_cloud, measure_request, system_at_optical_axis
@@ -50,7 +51,7 @@ class Workbench:
     def calibrate(self, captures: Sequence[str], options: Options) -> CalibrationParts:
         """The calibration from some of the captures only."""
         chosen = replace(self._session, captures=tuple(self.capture(name) for name in captures))
-        return Calibrator(chosen, options, self._store, self._observer).run()
+        return calibrate_session(chosen, options, self._store, self._observer)
 
     def overlays(self, capture: str, options: Options) -> tuple[FrameOverlay, ...]:
         """Example frames of a capture, with what was found in them."""

@@ -64,9 +64,11 @@ class IdealCapture:
     detections: tuple[IdealDetection | None, ...]
     scan: IdealScan | None
 
-    def observed(self, target_px: float, stripe_px: float, seed: Sequence[int]) -> tuple[ObservedFrame, ...]:
+    def observed(
+        self, target_px: float, stripe_px: float, seed: Sequence[int], **stripe_noise: float
+    ) -> tuple[ObservedFrame, ...]:
         """All frames, with noise; see :meth:`IdealSession.observed`."""
-        stripes = iter(self.scan.observed(stripe_px, [*seed, 1]) if self.scan is not None else ())
+        stripes = iter(self.scan.observed(stripe_px, [*seed, 1], **stripe_noise) if self.scan is not None else ())
         rng = np.random.default_rng([*seed, 2])
         return tuple(
             ObservedFrame(
@@ -86,7 +88,9 @@ class IdealSession:
 
     captures: tuple[IdealCapture, ...]
 
-    def observed(self, target_px: float, stripe_px: float, seed: int) -> dict[str, tuple[ObservedFrame, ...]]:
+    def observed(
+        self, target_px: float, stripe_px: float, seed: int, **stripe_noise: float
+    ) -> dict[str, tuple[ObservedFrame, ...]]:
         """What detectors would return, by folder.
 
         Parameters
@@ -94,9 +98,10 @@ class IdealSession:
         target_px : standard deviation of the points of plates, in u and in v
         stripe_px : standard deviation of the stripe's centres along its normal
         seed : the same seed gives the same noise; a capture's noise does not depend on the others
+        stripe_noise : correlated noise and outliers of the stripes, as :meth:`IdealScan.observed` takes them
         """
         return {
-            capture.plan.folder: capture.observed(target_px, stripe_px, [seed, index])
+            capture.plan.folder: capture.observed(target_px, stripe_px, [seed, index], **stripe_noise)
             for index, capture in enumerate(self.captures)
         }
 

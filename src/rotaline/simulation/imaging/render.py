@@ -174,6 +174,11 @@ def render_irradiance(rig: Rig, parts_base: Sequence[Placed], *, laser_on: bool,
     return Irradiance(ambient[image] * ambient_e_per_ms, laser[image] * rig.laser.peak_e_per_ms, part)
 
 
+def focus_distance_mm(rig: Rig) -> float:
+    """Distance from the lens to what is in focus; where everything is, to the origin of the base frame."""
+    return rig.optics.focus_mm or float(np.linalg.norm(rig.camera_from_base.translation))
+
+
 def _speckled(
     rig: Rig, parts_base: Sequence[Placed], light: Irradiance, rng: np.random.Generator
 ) -> Float[np.ndarray, "h w"]:
@@ -183,8 +188,7 @@ def _speckled(
     if not len(rows):
         return laser
     box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-    distance = rig.optics.focus_mm or float(np.linalg.norm(rig.camera_from_base.translation))
-    grain = grain_px(rig.laser, rig.optics, rig.camera.fx, distance)
+    grain = grain_px(rig.laser, rig.optics, rig.camera.fx, focus_distance_mm(rig))
     factor = np.ones_like(laser)
     pattern, part = speckle_pattern(laser[box].shape, grain, rng), light.part[box]
     for index in range(-1, len(parts_base)):

@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rotaline.calibration.joint.model import (
+    EstimatedQuantity,
+    JointCalibration,
+    JointMount,
+    OptionalParameters,
+    ResidualGroup,
+    TableErrors,
+    ViewResiduals,
+    WeakDirection,
+)
 from rotaline.calibration.model import (
+    AngleError,
     ArtifactCalibration,
     ArtifactMount,
     AxisCalibration,
@@ -17,7 +28,10 @@ from rotaline.calibration.model import (
     LaserPlaneCalibration,
     StripeOnBoard,
     SystemCalibration,
+    SystemCovariance,
 )
+from rotaline.calibration.speckle_limit import LaserOptics, speckle_limit_at_axis
+from rotaline.calibration.verdict.model import Figure, Finding, StepVerdict, Verdict
 from rotaline.geometry.primitives import Line, Plane, SteppedCylinder, unit
 from rotaline.geometry.transforms import base_from_axis, rotate_about_line
 from rotaline.io.report.contents import (
@@ -252,6 +266,7 @@ def make_cloud(points: np.ndarray, rng: np.random.Generator) -> PointCloud:
         -angle,
         frame,
         rng.uniform(0.003, 0.02, n),
+        np.full(n, 0.002),
     )
 
 
@@ -451,6 +466,240 @@ def make_contents(scale: int = 1) -> ReportContents:
         ),
         artifacts={"stepped-1": ARTIFACT, "stepped-2": ARTIFACT},
     )
+
+
+def make_group(kind: str, name: str, n_views: int, n_points: int, sigma: float, rng: np.random.Generator):
+    """Residuals of a capture: noise of ``sigma`` px; one frame is left out of targets."""
+    dim = 2 if "target" in kind else 1
+    views = []
+    for i in range(n_views):
+        u = rng.uniform(60, 1220, n_points)
+        uv = np.stack([u, rng.uniform(40, 920, n_points)], axis=1)
+        residuals = rng.normal(0.0, sigma, (n_points, dim))
+        used = not (dim == 2 and i == 3)
+        views.append(
+            ViewResiduals(
+                f"{name}/{i:04d}.png",
+                used,
+                "" if used else "RMS 0.42 px, seven times that of the others",
+                uv,
+                residuals * (1.0 if used else 8.0),
+                np.ones(n_points) * used,
+                float(np.sqrt((residuals**2).sum(axis=1).mean())),
+                1.1 * sigma * np.sqrt(dim) if i % 4 == 0 else float("nan"),
+                np.deg2rad(4.0 * i),
+            )
+        )
+    n_used = sum(v.used for v in views) * n_points
+    return ResidualGroup(
+        kind,
+        name,
+        tuple(views),
+        sigma,
+        sigma * np.sqrt(dim),
+        0.8 * sigma * np.sqrt(dim),
+        1.0 if dim == 2 else 3.4,
+        n_views * n_points,
+        n_used,
+    )
+
+
+def make_joint_mount(rng: np.random.Generator, name: str, eccentricity: float) -> JointMount:
+    """Points on all surfaces of the stepped cylinder with noise, frame errors and a wave over the turn."""
+    angles = np.deg2rad(np.arange(0.0, 360.0, 4.0))
+    r1, r2, h1, h2 = 11.5255, 18.003, 22.003, 25.005
+    profile = [
+        (np.linspace(1.0, r1 - 0.3, 25), np.full(25, h1 + h2)),
+        (np.full(50, r1), np.linspace(h2 + 0.3, h1 + h2 - 0.3, 50)),
+        (np.linspace(r1 + 0.3, r2 - 0.3, 15), np.full(15, h2)),
+        (np.full(60, r2), np.linspace(0.3, h2 - 0.3, 60)),
+    ]
+    radius, z = (np.concatenate([p[i] for p in profile]) for i in (0, 1))
+    surface = np.repeat(np.arange(4), [len(p[0]) for p in profile])
+    f, p = len(angles), len(radius)
+    frame = np.repeat(np.arange(f), p)
+    turn = np.tile(radius * 0.0, f) - angles[frame] + 0.05 * np.sin(np.tile(z, f))
+    points = np.stack([np.tile(radius, f) * np.cos(turn), np.tile(radius, f) * np.sin(turn), np.tile(z, f)], axis=1)
+    wave = 0.002 * np.cos(angles) + 0.0007 * np.sin(2 * angles) + rng.normal(0, 0.001, f)
+    distances = rng.normal(0.0, 0.005, f * p) + wave[frame]
+    weight = np.where(rng.uniform(size=f * p) < 0.01, 0.0, 1.0)
+    here = [np.tile(surface, f) == s for s in range(4)]
+    return JointMount(
+        name,
+        ARTIFACT,
+        RigidTransform.from_components([eccentricity, 0.3, 0.0], Rotation.from_rotvec([0.002, 0.001, 0.0])),
+        eccentricity,
+        0.0007,
+        0.0022,
+        tuple(f"{name}/{i:04d}.png" for i in range(f)),
+        angles,
+        frame,
+        np.tile(surface, f),
+        points,
+        distances,
+        distances * 8.0,
+        weight,
+        ("top disc", "small side", "step", "large side"),
+        np.array([distances[h].mean() for h in here]),
+        np.array([distances[h].std() for h in here]),
+        0.0058,
+    )
+
+
+def make_joint(rng: np.random.Generator) -> JointCalibration:
+    """A joint estimate with every field filled."""
+    names = ("fx", "fy", "cx", "cy", "plane_turn_1", "plane_turn_2", "plane_offset", "axis_turn_x", "axis_turn_y",
+             "axis_shift_x", "axis_shift_y", "angle_cos", "angle_sin")  # fmt: skip
+    u = np.array([0.3, 0.3, 0.4, 0.4, 9e-6, 7e-6, 0.0009, 2.6e-5, 3.1e-5, 0.0011, 0.0013, 4e-6, 4e-6])
+    frames = np.concatenate([np.deg2rad(np.arange(0.0, 360.0, 4.0))] * 2)
+    errors = rng.normal(0, 1.0, (len(frames), 6)) * [1e-5, 1e-5, 3.5e-5, 0.001, 0.001, 0.0005]
+    mounts = (make_joint_mount(rng, "stepped-1", 0.4), make_joint_mount(rng, "stepped-2", 5.1))
+    return JointCalibration(
+        camera=CAMERA,
+        camera_names=names[:4],
+        laser_plane_camera=PLANE,
+        laser_curvature=None,
+        axis_camera=AXIS,
+        turn_sense=1,
+        angle_error=AngleError(2.1e-5, -4.4e-5),
+        covariance=SystemCovariance(names, np.diag(u**2), AXIS.point, AXIS.point),
+        parameters=(
+            EstimatedQuantity("focal length fx", 2450.02, 0.3, "px", "image"),
+            EstimatedQuantity("k1", -0.11021, 6e-4, "", "image"),
+            EstimatedQuantity("direction of the laser plane, first", 0.0, 9e-6, "rad", "camera"),
+            EstimatedQuantity("distance of the laser plane", 150.0123, 0.0009, "mm", "camera"),
+            EstimatedQuantity("direction of the axis about x", 0.0, 2.6e-5, "rad", "base"),
+            EstimatedQuantity("place of the axis along x", 0.0, 0.0011, "mm", "base"),
+        ),
+        groups=(
+            make_group("target", "camera", 14, 288, 0.03, rng),
+            make_group("target", "laser", 10, 81, 0.011, rng),
+            make_group("plate-stripe", "laser", 10, 200, 0.06, rng),
+            make_group("table-target", "axis", 21, 288, 0.04, rng),
+            make_group("artifact", "stepped-1", 90, 50, 0.07, rng),
+            make_group("artifact", "stepped-2", 90, 50, 0.07, rng),
+        ),
+        mounts=mounts,
+        table=TableErrors(
+            ("angle", "run-out"),
+            np.array([3.5e-5, 0.001]),
+            np.array([2e-6, 8e-5]),
+            ("stepped-1",) * 90 + ("stepped-2",) * 90,
+            tuple(f"stepped-{m}/{i:04d}.png" for m in (1, 2) for i in range(90)),
+            frames,
+            errors,
+        ),
+        optional=(
+            OptionalParameters(
+                "angle harmonics",
+                True,
+                "chi-square 131 for 2 parameters",
+                131.2,
+                {"cos": 2.1e-5, "sin": -4.4e-5},
+                {"cos": 4e-6, "sin": 4e-6},
+                {"cos": "rad", "sin": "rad"},
+            ),
+            OptionalParameters(
+                "pitch of checkerboard",
+                False,
+                "the pitch and the artefact agree within U",
+                1.3,
+                {"true over stated": 1.00002},
+                {"true over stated": 3e-5},
+                {"true over stated": ""},
+            ),
+        ),
+        weak_directions=(
+            WeakDirection(
+                "axis position across the laser plane",
+                0.034,
+                "mm",
+                "the mounts are too well centred: the axis is uncertain by 34 µm across the laser plane",
+                "Mount the cylinder 5 to 8 mm off centre and add the capture.",
+                0.83,
+            ),
+        ),
+        n_parameters=312,
+        n_observations=61234,
+        n_iterations=9,
+        converged=True,
+        seconds=7.2,
+        warnings=("stepped-1: 60 points lie on no surface.",),
+    )
+
+
+def make_verdict() -> Verdict:
+    """A doubtful one with two findings."""
+    return Verdict(
+        "doubtful",
+        "The calibration can be used, but the axis is known less well than the rest.",
+        (
+            StepVerdict("session", "pass", "Complete."),
+            StepVerdict(
+                "camera",
+                "pass",
+                "Views that were left out are predicted as well as the others.",
+                (Figure("RMS", 0.0421, "px"), Figure("held-out RMS", 0.0452, "px", "below 0.06 px")),
+            ),
+            StepVerdict("laser-plane", "pass", "Ten poses over 62 mm of depth.", (Figure("depth", 62.0, "mm"),)),
+            StepVerdict("axis", "doubtful", "Both mounts are too well centred.", (Figure("u", 34.0, "µm", "< 5 µm"),)),
+            StepVerdict("artifact", "pass", "All surfaces fit to 5.2 µm RMS."),
+            StepVerdict("table", "none", "No frames of a full turn."),
+        ),
+        (
+            Finding(
+                "mount too well centred",
+                "axis",
+                "doubtful",
+                "The mounts stand 0.4 and 0.6 mm off centre, so the axis is uncertain by 34 µm across the laser plane.",
+                "Mount the cylinder 5 to 8 mm off centre and add the capture.",
+                6.4,
+            ),
+            Finding(
+                "over-exposure",
+                "artifact",
+                "doubtful",
+                "12 % of the stripe points of stepped-2 are saturated.",
+                "Shorten the exposure by a third.",
+                1.05,
+            ),
+        ),
+        0.0068,
+        0.0051,
+    )
+
+
+def make_joint_contents(contents: ReportContents) -> ReportContents:
+    """The contents of a run with the joint estimate: no cross-ratio and no SQP, but a verdict, U and a speckle limit."""
+    rng = np.random.default_rng(17)
+    joint = make_joint(rng)
+    system = SystemCalibration(CAMERA, PLANE, AXIS, 1, True, angle_error=joint.angle_error, covariance=joint.covariance)
+    entries = []
+    for entry in contents.measurements:
+        m = entry.measurement
+        if m is not None:
+            m = dataclasses.replace(m, u_scatter=dict.fromkeys(m.value, 0.0003))
+            m = m.with_calibration(dict.fromkeys(m.value, 0.0011))
+        entries.append(dataclasses.replace(entry, measurement=m))
+    seconds = {stage: s for stage, s in contents.run.stage_seconds.items() if stage not in ("cross-ratio", "artifact")}
+    options = contents.run.options | {"calibration.method": "joint"}
+    return dataclasses.replace(
+        contents,
+        run=dataclasses.replace(contents.run, options=options, stage_seconds=seconds | {"joint": 7.2}),
+        cross_ratio=None,
+        artifact=None,
+        joint=joint,
+        verdict=make_verdict(),
+        speckle_limit=speckle_limit_at_axis(LaserOptics(5.6, 3.75, 650.0, 0.12), system),
+        calibration=system,
+        measurements=tuple(entries),
+    )
+
+
+@pytest.fixture(scope="session")
+def joint_contents(full_contents: ReportContents) -> ReportContents:
+    """Every field of a run with the joint estimate filled."""
+    return make_joint_contents(full_contents)
 
 
 @pytest.fixture(scope="session")

@@ -135,3 +135,12 @@ def test_a_stepped_cylinder_unrolls_along_its_profile_without_overlap(full_conte
     )
     down = chart.collections[0].get_offsets()[:, 1]
     np.testing.assert_allclose(np.sort(down)[::-1], [0.0, -17.5, -32.0, -50.0], atol=1e-9)
+
+
+def test_the_uncertainty_from_the_calibration_is_shown_where_it_is_known(full_contents):
+    cloud = full_contents.clouds[0].cloud
+    titles = {ax.get_title(loc="left") for ax in scan.cloud_attributes(cloud, True).axes}
+    assert {"u from the stripe", "u from the calibration"} <= titles
+    unknown = dataclasses.replace(cloud, u_calibration_mm=cloud.u_calibration_mm * np.nan)
+    titles = {ax.get_title(loc="left") for ax in scan.cloud_attributes(unknown, True).axes}
+    assert "u from the calibration" not in titles

@@ -261,10 +261,12 @@ def test_nan_rows_empty_clouds_and_failures_are_shown_not_hidden(full_contents):
         eccentricity_mm=float("nan"),
     )
     artifact = dataclasses.replace(full_contents.artifact, mounts=(lost_mount,), history_mm=np.zeros(0))
-    no_points = PointCloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, int), np.zeros(0))
+    zero = np.zeros(0)
+    no_points = PointCloud(np.zeros((0, 3)), np.zeros((0, 3)), zero, zero, np.zeros(0, int), zero, zero)
     points = rng.normal(size=(5, 3))
     points[2] = np.nan
-    unknown = PointCloud(points, points, np.full(5, np.nan), np.zeros(5), np.zeros(5, int), np.full(5, np.nan))
+    nan = np.full(5, np.nan)
+    unknown = PointCloud(points, points, nan, np.zeros(5), np.zeros(5, int), nan, nan)
     entry = full_contents.measurements[2]
     nan_fit = FittedPoints(entry.capture, entry.feature, entry.name, points * np.nan, np.full(5, np.nan))
     odd_measurement = dataclasses.replace(

@@ -35,10 +35,16 @@ def coverage(calibration: CameraCalibration) -> Figure:
 
 def residual_vectors(calibration: CameraCalibration) -> Figure:
     """Residuals over the image: each point, and the mean of each cell (what the model cannot explain)."""
-    width, height = calibration.camera.image_size
+    return vector_field(*_used_points(calibration), calibration.camera.image_size)
+
+
+def vector_field(
+    uv: Float[np.ndarray, "n 2"], residuals: Float[np.ndarray, "n 2"], image_size: tuple[int, int]
+) -> Figure:
+    """Residuals (px) at places in the image, drawn longer as stated: single points, and the mean of each cell."""
+    width, height = image_size
     figure = style.new_figure(style.FULL_INCH, 0.7 + 0.5 * style.FULL_INCH * 0.92 * height / width)
     ax_all, ax_mean = figure.subplots(1, 2)
-    uv, residuals = _used_points(calibration)
     pick = style.thinned(len(uv), 3000)
     _arrows(ax_all, uv[pick], residuals[pick], width, style.BLUE, "single points")
     counts, u_edges, v_edges = _cells(uv, width, height)

@@ -37,17 +37,20 @@ def cloud_views(cloud: PointCloud, table_seen: bool) -> Figure:
 
 
 def cloud_attributes(cloud: PointCloud, table_seen: bool) -> Figure:
-    """The cloud by intensity, by standard uncertainty and by table angle."""
+    """The cloud by intensity, by standard uncertainty (from the stripe; from the calibration, where known) and by table angle."""
     points, pick = _finite(cloud.points_table)
-    figure, axes, bars = style.row_of_panels(3, _PANEL_RATIO, "each")
+    judged = bool(np.isfinite(cloud.u_calibration_mm).any())
+    figure, axes, bars = style.row_of_panels(4 if judged else 3, _PANEL_RATIO, "each")
     if len(points) == 0:
         return _empty(figure, "no points")
-    directions = (VIEWPOINTS_DEG[0], VIEWPOINTS_DEG[0], VIEWPOINTS_DEG[3])
+    directions = (*([VIEWPOINTS_DEG[0]] * (len(axes) - 1)), VIEWPOINTS_DEG[3])
     part = _part(points, table_seen)
     views = views_around(points[part], directions, _PANEL_PX)
+    calibration = (cloud.u_calibration_mm[pick] * 1e3, "plasma", "u, k = 1 [µm]", "u from the calibration")
     shown: tuple[tuple[Float[np.ndarray, " n"], str | Colormap, str, str], ...] = (
         (cloud.intensity[pick], "cividis", "intensity [grey values]", "Intensity"),
-        (cloud.u_mm[pick] * 1e3, "plasma", "u, k = 1 [µm]", "Standard uncertainty from the stripe"),
+        (cloud.u_mm[pick] * 1e3, "plasma", "u, k = 1 [µm]", "u from the stripe"),
+        *((calibration,) if judged else ()),
         (np.rad2deg(cloud.angle_rad[pick]) % 360.0, style.CYCLIC, "table angle [deg]", "Table angle"),
     )
     for ax, bar, view, (values, colours, label, title) in zip(axes, bars, views, shown, strict=True):

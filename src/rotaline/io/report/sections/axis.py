@@ -22,9 +22,9 @@ def section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Sec
             "Initial axis",
             warnings=mine,
             missing="No initial axis from a target on the turntable"
-            + (": the axis was found from the artefact alone." if contents.artifact is not None else "."),
+            + (": the axis was found from the artefact alone." if _found_from_artifact(contents) else "."),
         )
-    judgement, level = _judge(calibration, refined=contents.artifact is not None)
+    judgement, level = _judge(calibration, _what_follows(contents))
     blocks: list[Block] = [
         _parameters(calibration),
         *overlay_blocks(contents, "axis"),
@@ -58,12 +58,27 @@ def section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Sec
     return Section("axis", "Initial rotation axis", "Initial axis", judgement, level, mine, tuple(blocks))
 
 
+def _found_from_artifact(contents: ReportContents) -> bool:
+    if contents.joint is not None:
+        return contents.joint.axis_camera is not None
+    return contents.artifact is not None
+
+
+def _what_follows(contents: ReportContents) -> str:
+    """How the sentence about the uncertainty of the axis ends."""
+    if contents.joint is not None:
+        return "; the joint estimate below refines it."
+    if contents.artifact is not None:
+        return "; the stepped cylinder refines it below."
+    return ": a stepped cylinder would refine it."
+
+
 def _used_angles_deg(calibration: AxisCalibration) -> np.ndarray:
     """Table angles of the used frames in one piece, deg: their range is the arc that was seen."""
     return np.rad2deg(figures.unwrapped(np.array([f.angle_rad for f in calibration.frames if f.used])))
 
 
-def _judge(calibration: AxisCalibration, refined: bool) -> tuple[str, Level]:
+def _judge(calibration: AxisCalibration, what_follows: str) -> tuple[str, Level]:
     angles = _used_angles_deg(calibration)
     n, used = len(calibration.frames), len(angles)
     span = float(np.ptp(angles)) if used else 0.0
@@ -71,8 +86,7 @@ def _judge(calibration: AxisCalibration, refined: bool) -> tuple[str, Level]:
         f"Circles {numbers.um(calibration.rms_mm)} µm RMS over {used} of {numbers.plural(n, 'frame')} that span "
         f"an arc of {numbers.fixed(span, 1)} deg; the axis is known to {numbers.fixed(calibration.u_direction_rad * 1e6, 0)} µrad in "
         f"direction and {numbers.um(calibration.u_position_mm)} µm in position (k = 1). Short arcs make the circle centres, "
-        "and so the axis, uncertain"
-        + ("; the stepped cylinder refines it below." if refined else ": a stepped cylinder would refine it.")
+        f"and so the axis, uncertain{what_follows}"
     )
     if used < 3 or not np.isfinite(calibration.u_position_mm):
         return text, "poor"

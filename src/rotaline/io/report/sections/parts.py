@@ -148,7 +148,8 @@ def _cloud_pictures(scan: CloudSummary, contents: ReportContents) -> Gallery:
             picture(
                 lambda: figures.cloud_attributes(scan.cloud, table_seen),
                 f"{scan.folder}: dark regions returned little light, and uncertain points are those with a dim, wide or slanting "
-                "stripe; the table angle shows which frames saw a region.",
+                "stripe; where u from the calibration is known, it is common to neighbouring points and does not average out; "
+                "the table angle shows which frames saw a region.",
                 "full",
                 "png",
             ),

@@ -4,6 +4,7 @@ from collections import defaultdict
 
 import numpy as np
 
+from rotaline.calibration.joint.model import JointCalibration
 from rotaline.io.report import numbers
 from rotaline.io.report.contents import ReportContents
 from rotaline.io.report.page import Block, Column, KeyFigure, Level, Paragraph, Row, Section, Table
@@ -21,6 +22,10 @@ _KIND_TITLES = {
 _BEFORE_AND_AFTER = (
     "The same scans, evaluated with the initial rotation axis (before) and with the axis optimised by the stepped cylinder "
     "(after). Errors are value minus reference; averages are those of their magnitudes."
+)
+_BEFORE_AND_AFTER_JOINT = (
+    "The same scans, evaluated with the initial rotation axis (before) and with the axis of the joint estimate (after). Errors are "
+    "value minus reference; averages are those of their magnitudes."
 )
 _ONE_AXIS = (
     "Errors are value minus reference; averages are those of their magnitudes. There is only one axis, so there is no before "
@@ -40,11 +45,13 @@ def section(contents: ReportContents) -> Section:
         )
     n_failed = sum(e.measurement is None for e in entries)
     judgement, level = _judge(contents, n_failed)
-    blocks: list[Block] = [_summary(entries)]
-    before = contents.measurements_initial_axis if contents.artifact is not None else ()
+    blocks: list[Block] = [_summary_with_u(entries) if _calibration_is_known(entries) else _summary(entries)]
+    refined = contents.artifact is not None or contents.joint is not None
+    before = contents.measurements_initial_axis if refined else ()
     comparisons = _comparisons(entries, before)
     if comparisons:
-        blocks.append(Paragraph(_BEFORE_AND_AFTER if before else _ONE_AXIS))
+        how = _BEFORE_AND_AFTER if contents.joint is None else _BEFORE_AND_AFTER_JOINT
+        blocks.append(Paragraph(how if before else _ONE_AXIS))
         blocks += comparisons
     return Section(
         "results",
@@ -90,7 +97,9 @@ def key_figures(contents: ReportContents) -> tuple[KeyFigure, ...]:
                 "optimised plane used" if result.accepted else "optimised plane not used",
             )
         )
-    if contents.artifact is not None:
+    if contents.joint is not None:
+        figures += _joint_figures(contents.joint)
+    elif contents.artifact is not None:
         result_a = contents.artifact
         figures.append(
             KeyFigure(
@@ -113,6 +122,22 @@ def key_figures(contents: ReportContents) -> tuple[KeyFigure, ...]:
             )
         )
     return tuple(figures)
+
+
+def _joint_figures(joint: JointCalibration) -> list[KeyFigure]:
+    targets = [g for g in joint.groups if g.kind in ("target", "table-target") and g.n_used]
+    figures = []
+    if targets:
+        squares = sum(g.n_used * g.rms_px**2 for g in targets)
+        rms = float(np.sqrt(squares / sum(g.n_used for g in targets)))
+        n = numbers.count(sum(g.n_used for g in targets))
+        figures.append(KeyFigure("Joint estimate, target points RMS", numbers.fixed(rms, 3), "px", f"{n} points"))
+    distances = [m.distances_mm[m.used] for m in joint.mounts]
+    if sum(len(d) for d in distances):
+        rms_mm = float(np.sqrt(np.mean(np.concatenate(distances) ** 2)))
+        remark = numbers.plural(len(joint.mounts), "mount")
+        figures.append(KeyFigure("Joint estimate, artefact surfaces RMS", numbers.um(rms_mm), "µm", remark))
+    return figures
 
 
 def quantity(key: str) -> str:
@@ -140,6 +165,79 @@ def _judge(contents: ReportContents, n_failed: int) -> tuple[str, Level]:
     return text, "poor" if n_failed == n else "fair" if n_failed else "none"
 
 
+def _calibration_is_known(entries: tuple[MeasurementEntry, ...]) -> bool:
+    """The uncertainty of some value has the part that comes from the calibration."""
+    return any(e.measurement is not None and e.measurement.u_calibration for e in entries)
+
+
+def _label(entry: MeasurementEntry) -> str:
+    name = entry.name if entry.name and entry.name != entry.feature else ""
+    return f"{entry.feature} – {name}" if name else entry.feature
+
+
+def _summary_with_u(entries: tuple[MeasurementEntry, ...]) -> Table:
+    """Value, U and its two parts, reference, error, and whether the error is within U."""
+    columns = (
+        Column("Capture", numeric=False),
+        Column("Feature", numeric=False),
+        Column("Quantity", numeric=False),
+        Column("Value", "mm"),
+        Column("U", "µm, k = 2"),
+        Column("of scatter", "µm"),
+        Column("of calibration", "µm"),
+        Column("Reference", "mm"),
+        Column("Error", "µm"),
+        Column("Within U", numeric=False),
+        Column("RMS", "µm"),
+        Column("Points", "n"),
+    )
+    rows = []
+    for entry in entries:
+        m = entry.measurement
+        if m is None:
+            rows.append(Row((entry.capture, _label(entry), f"not measured: {entry.failure}"), "failed"))
+            continue
+        for i, (key, value) in enumerate(m.value.items()):
+            first = i == 0
+            u, error = m.uncertainty.get(key), entry.error.get(key)
+            cells = (
+                entry.capture if first else "",
+                _label(entry) if first else "",
+                quantity(key),
+                numbers.mm(value),
+                _expanded(u),
+                _expanded(m.u_scatter.get(key)),
+                _expanded(m.u_calibration.get(key)),
+                numbers.mm(entry.reference.get(key)),
+                numbers.um(error, signed=True),
+                _within(error, u),
+                numbers.um(m.rms) if first else "",
+                numbers.count(m.n_points) if first else "",
+            )
+            rows.append(Row(cells, "plain" if first else "continued"))
+    return Table(
+        "Measured features with their expanded uncertainty U (k = 2), with the final calibration.",
+        columns,
+        tuple(rows),
+        "Error: value minus reference. U: expanded uncertainty, twice the standard one; about 95 of 100 errors should be within it. Its "
+        "parts add as squares: the scatter of the points, frame by frame, and the calibration, whose errors are common to all "
+        "points and do not average out. The reference is taken as exact. RMS: residuals of all points.",
+    )
+
+
+def _expanded(u_mm: float | None) -> str:
+    return numbers.um(None if u_mm is None else 2.0 * u_mm)
+
+
+def _within(error_mm: float | None, u_mm: float | None) -> str:
+    """Whether an error is within U; empty where either is not known."""
+    if error_mm is None or u_mm is None or not np.isfinite(error_mm) or not np.isfinite(u_mm):
+        return ""
+    if abs(error_mm) <= 2.0 * u_mm:
+        return "yes"
+    return f"no, {numbers.fixed(abs(error_mm) / (2.0 * u_mm), 2)} U" if u_mm > 0.0 else "no"
+
+
 def _summary(entries: tuple[MeasurementEntry, ...]) -> Table:
     columns = (
         Column("Capture", numeric=False),
@@ -156,8 +254,7 @@ def _summary(entries: tuple[MeasurementEntry, ...]) -> Table:
     )
     rows = []
     for entry in entries:
-        name = entry.name if entry.name and entry.name != entry.feature else ""
-        label = f"{entry.feature} – {name}" if name else entry.feature
+        label = _label(entry)
         m = entry.measurement
         if m is None:
             rows.append(Row((entry.capture, label, f"not measured: {entry.failure}"), "failed"))
