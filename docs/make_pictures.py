@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from rotaline.io.records import read_record
-from rotaline.io.report.figures import artifact, features, frames, scan
+from rotaline.io.report.figures import features, frames, joint, scan
 from rotaline.io.report.style import save_png
 from rotaline.pipeline.run import REPORT_RECORD
 
@@ -15,8 +15,7 @@ def main(results: Path) -> None:
     """Write the pictures into docs/pictures/."""
     OUT.mkdir(exist_ok=True)
     contents = read_record(results / "stages" / REPORT_RECORD)
-    mount = contents.artifact.mounts[-1]
-    save_png(artifact.feature_circles(mount, contents.artifacts.get(mount.name)), OUT / "feature-circles.png", dpi=90)
+    save_png(joint.unrolled(contents.joint.mounts[-1]), OUT / "artefact-unrolled.png", dpi=90)
     bust = next(s for s in contents.surfaces if s.folder == "bust")
     save_png(scan.mesh_views(bust.vertices_table, bust.triangles), OUT / "bust-surface.png", dpi=90)
     stripe = next(o for o in contents.overlays if o.stage == "artifact")

@@ -32,9 +32,16 @@ def rig_and_plan(preset: str = "demo", every: int = 2) -> tuple[Rig, SessionPlan
     return file.rig(), replace(plan, captures=tuple(captures), measurements=())
 
 
-def traced(rig: Rig, plan: SessionPlan) -> TracedTwin:
-    """Coarse enough for a test, fine enough for its statistics."""
-    return trace_twin(rig, plan, spacing_px=4.0)
+def traced(rig: Rig, plan: SessionPlan, like: TracedTwin | None = None, changed: Sequence[str] = ()) -> TracedTwin:
+    """Coarse enough for a test, fine enough for its statistics; captures that are not ``changed`` are those of ``like``."""
+    spacing_px = 4.0 * rig.camera.image_size[0] / 800
+    if like is None:
+        return trace_twin(rig, plan, spacing_px=spacing_px)
+    old = {c.plan.folder: c for c in like.ideal.captures}
+    anew = replace(plan, captures=tuple(c for c in plan.captures if c.folder in changed))
+    new = {c.plan.folder: c for c in trace_twin(rig, anew, spacing_px=spacing_px).ideal.captures} if changed else {}
+    captures = tuple(new.get(c.folder) or old[c.folder] for c in plan.captures)
+    return replace(like, rig=rig, plan=plan, ideal=IdealSession(captures))
 
 
 def observed(twin: TracedTwin, seed: int = 1, noise: float = 1.0) -> SessionObservations:
@@ -168,13 +175,9 @@ def without(plan: SessionPlan, *folders: str) -> SessionPlan:
     return replace(plan, captures=tuple(c for c in plan.captures if c.folder not in folders))
 
 
-def with_camera_moved(
-    rig: Rig, plan: SessionPlan, first: str, shift_mm: Sequence[float], turn_rad: Sequence[float]
-) -> TracedTwin:
+def with_camera_moved(twin: TracedTwin, first: str, shift_mm: Sequence[float], turn_rad: Sequence[float]) -> TracedTwin:
     """The camera moves before capture ``first`` and stays there; ``shift_mm`` and ``turn_rad`` along its axes."""
     by = RigidTransform.from_components(list(shift_mm), Rotation.from_rotvec(list(turn_rad)))
-    later = replace(rig, camera_from_base=by * rig.camera_from_base)
-    folders = [c.folder for c in plan.captures]
-    before, after = traced(rig, plan), traced(later, plan)
-    k = folders.index(first)
-    return replace(before, ideal=IdealSession((*before.ideal.captures[:k], *after.ideal.captures[k:])))
+    folders = [c.folder for c in twin.plan.captures]
+    moved = replace(twin.rig, camera_from_base=by * twin.rig.camera_from_base)
+    return traced(moved, twin.plan, twin, folders[folders.index(first) :])

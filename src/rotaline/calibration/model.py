@@ -256,8 +256,8 @@ class SystemCalibration:
     """All that a scan needs. ``rotation_axis_camera.point`` is the origin of the base frame: z = 0.
 
     ``table_seen``: z = 0 is the table top; otherwise it is the point of the axis nearest to the optical axis. ``laser_curvature``: None
-    for a flat sheet. ``covariance``: None where it is not known. ``line_sigma_mm``: standard deviation of the laser line across the sheet; 0 where
-    it is not known.
+    for a flat sheet. ``covariance``: None where it is not known. ``line_sigma_mm``: standard deviation of the laser line across the sheet, ``stripe_blur_px``
+    that of the stripe which a line without width would make (lens and pixels); both 0 where they are not known.
     """
 
     camera: CameraModel
@@ -269,6 +269,7 @@ class SystemCalibration:
     angle_error: AngleError = AngleError()
     covariance: SystemCovariance | None = None
     line_sigma_mm: float = 0.0
+    stripe_blur_px: float = 0.0
 
     @property
     def base_from_camera(self) -> RigidTransform:

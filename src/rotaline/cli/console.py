@@ -78,6 +78,7 @@ def measurement_table(entries: Sequence[MeasurementEntry], initial: Sequence[Mea
         ("feature", "left"),
         ("quantity", "left"),
         ("value", "right"),
+        ("U (k = 2)", "right"),
         ("reference", "right"),
         ("error", "right"),
         ("error with initial axis", "right"),
@@ -87,7 +88,7 @@ def measurement_table(entries: Sequence[MeasurementEntry], initial: Sequence[Mea
         table.add_column(name, justify=justify)  # type: ignore[arg-type]
     for entry in entries:
         if entry.measurement is None:
-            table.add_row(entry.capture, entry.feature, "not measured", *["–"] * 6)
+            table.add_row(entry.capture, entry.feature, "not measured", *["–"] * 7)
             continue
         earlier = before.get((entry.capture, entry.feature, entry.name))
         for quantity, value in entry.measurement.value.items():
@@ -96,6 +97,7 @@ def measurement_table(entries: Sequence[MeasurementEntry], initial: Sequence[Mea
                 entry.feature,
                 quantity.replace("_", " "),
                 _mm(value),
+                _mm(_expanded(entry.measurement.uncertainty.get(quantity))),
                 _mm(entry.reference.get(quantity)),
                 _mm(entry.error.get(quantity), signed=True),
                 _mm(earlier.error.get(quantity) if earlier else None, signed=True),
@@ -103,6 +105,11 @@ def measurement_table(entries: Sequence[MeasurementEntry], initial: Sequence[Mea
                 str(entry.measurement.n_points),
             )
     return table
+
+
+def _expanded(u: float | None) -> float | None:
+    """Expanded uncertainty, k = 2."""
+    return None if u is None else 2.0 * u
 
 
 def _mm(value: float | None, signed: bool = False) -> str:

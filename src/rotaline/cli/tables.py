@@ -9,7 +9,10 @@ from rich.table import Table
 from rotaline.pipeline.compare_truth import VOLUME_HEIGHT_MM, VOLUME_RADIUS_MM, Comparison
 from rotaline.pipeline.summary import machine, versions
 from rotaline.pipeline.verify_axis import ARTICLE_MEAN_DISTANCE_MM, AxisVerification
+from rotaline.pipeline.verify_efficiency import EfficiencyVerification
+from rotaline.pipeline.verify_methods import MethodsVerification
 from rotaline.pipeline.verify_stripe import StripeVerificationRow
+from rotaline.pipeline.verify_uncertainty import POOLED_BAR, QUANTITY_BAR, UncertaintyVerification
 
 
 def show_axis_verification(verification: AxisVerification) -> None:
@@ -140,3 +143,135 @@ def show_comparison(comparison: Comparison) -> None:
             )
         console.print(table)
     show_provenance(console)
+
+
+def _scaled(value: float, unit: str) -> str:
+    """A length in um, an angle in urad, anything else as it is; the unit is that of :func:`_small_unit`."""
+    if math.isnan(value):
+        return "–"
+    return f"{1e6 * value:.1f}" if unit == "rad" else f"{1e3 * value:.2f}" if unit == "mm" else f"{value:.3g}"
+
+
+def _small_unit(unit: str) -> str:
+    return {"rad": "µrad", "mm": "µm", "1": ""}.get(unit, unit)
+
+
+def _percent(value: float) -> str:
+    return "–" if math.isnan(value) else f"{100 * value:.1f}"
+
+
+def show_uncertainty(verification: UncertaintyVerification) -> None:
+    """Coverage of the stated intervals, quantity by quantity."""
+    console = Console(width=150, highlight=False)
+    table = Table(
+        title=f"Stated 95 % intervals against the truth: {verification.n_realisations} realisations of "
+        f"{verification.n_sessions} sessions",
+        title_justify="left",
+    )
+    for name in ("group", "quantity"):
+        table.add_column(name)
+    for name in (
+        "cover / %",
+        "±",
+        "expected / %",
+        "error / u, RMS",
+        "mean",
+        "from noise / %",
+        "u",
+        "RMS error",
+        "unit",
+    ):
+        table.add_column(name, justify="right")
+    for row in verification.rows:
+        if not row.name:
+            table.add_section()
+        judged = row.group != "camera"
+        low, high = (_percent(b).removesuffix(".0") for b in row.bar)
+        table.add_row(
+            row.group if not row.name else "",
+            row.name.replace("_", " ") or "pooled",
+            _percent(row.coverage),
+            _percent(row.u_coverage),
+            f"{low} to {high}{'' if row.holds else '  missed'}" if judged else "–",
+            _number(row.rms_standardised, 2),
+            "–" if math.isnan(row.mean_standardised) else f"{row.mean_standardised:+.2f}",
+            _percent(row.noise_share),
+            _scaled(row.mean_u, row.unit),
+            _scaled(row.rms_error, row.unit),
+            _small_unit(row.unit),
+        )
+    console.print(table)
+    console.print(
+        f"Expected: {100 * POOLED_BAR[0]:g} to {100 * POOLED_BAR[1]:g} % of all together, {100 * QUANTITY_BAR[0]:g} to "
+        f"{100 * QUANTITY_BAR[1]:g} % of each; the camera is not judged. ±: standard uncertainty of the coverage, from the scatter between "
+        "sessions. from noise: share of (error / u)² that changes with the noise of the detectors; the rest is common to all "
+        "realisations of a session: errors of plates and table."
+    )
+    if verification.optional:
+        chosen = ", ".join(f"{name} {n}" for name, n in verification.optional.items())
+        console.print(f"Parameters that were switched on, in how many realisations: {chosen}.")
+    _show_failures(console, verification.failures)
+
+
+def show_efficiency(verification: EfficiencyVerification) -> None:
+    """Variance of the joint estimate over the Cramér-Rao bound."""
+    console = Console(width=150, highlight=False)
+    table = Table(
+        title="Variance of the joint estimate over the Cramér-Rao bound, ideal table and plates", title_justify="left"
+    )
+    for name in ("noise", "parameters"):
+        table.add_column(name)
+    for name in ("variance / bound", "±", "expected", "bias", "number", "realisations"):
+        table.add_column(name, justify="right")
+    for row in verification.rows:
+        if row.group == "all":
+            table.add_section()
+        mark = "" if row.holds else "  missed"
+        table.add_row(
+            row.noise if row.group == "all" else "",
+            row.group,
+            f"{row.ratio:.3f}",
+            f"{row.u_ratio:.3f}",
+            f"up to {row.bar:g}{mark}" if row.group == "all" else "–",
+            f"{row.bias:.2f}",
+            str(row.p),
+            str(row.n),
+        )
+    console.print(table)
+    console.print(
+        "bias: mean error over its own standard uncertainty, RMS over the parameters; 1 where there is none. Of the points on the artefacts "
+        f"that count in the bound, the estimate uses {100 * verification.used_fraction:.1f} %."
+    )
+    _show_failures(console, verification.failures)
+    show_provenance(console)
+
+
+def show_methods(verification: MethodsVerification) -> None:
+    """RMS errors of the article's method and of the joint estimate."""
+    console = Console(width=150, highlight=False)
+    kind = "rendered" if verification.rendered else "observed"
+    table = Table(title=f"RMS errors over {verification.n_sessions} {kind} sessions", title_justify="left")
+    table.add_column("quantity")
+    for name in ("article", "joint", "unit", "article / joint", "joint: error / u, RMS", "errors"):
+        table.add_column(name, justify="right")
+    for row in verification.rows:
+        table.add_row(
+            row.quantity,
+            _scaled(row.article, row.unit),
+            _scaled(row.joint, row.unit),
+            _small_unit(row.unit),
+            _number(row.ratio, 1),
+            _number(row.rms_standardised, 2),
+            str(row.n),
+        )
+    console.print(table)
+    console.print(
+        "Axes are compared after the best rotation of the camera frame, their error / u as the covariance counts them."
+    )
+    _show_failures(console, verification.failures)
+    show_provenance(console)
+
+
+def _show_failures(console: Console, failures: Sequence[str]) -> None:
+    for text in failures:
+        console.print(f"not done: {text}", style="yellow", markup=False)

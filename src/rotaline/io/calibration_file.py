@@ -2,7 +2,8 @@
 
 Frames: everything in the camera frame (x right, y down, z forward; mm). ``laser_plane_camera`` is normal . X + offset = 0.
 ``laser_curvature`` adds (uu u^2 + 2 uv u v + vv v^2) / 2 to that, where u, v are the coordinates along ``u_direction`` and
-``v_direction`` from ``origin``. ``line_sigma_mm`` is the standard deviation of the laser line across the sheet, 0 where it is not known. ``turn_sense`` is +1 if ``angle_deg`` is right-handed about ``rotation_axis_camera.direction``;
+``v_direction`` from ``origin``. ``line_sigma_mm`` is the standard deviation of the laser line across the sheet, ``stripe_blur_px``
+that of the image of a line without width; 0 where they are not known. ``turn_sense`` is +1 if ``angle_deg`` is right-handed about ``rotation_axis_camera.direction``;
 ``angle_error``: the table has turned by read + cos cos(read) + sin sin(read), rad. ``covariance`` is that of small changes of all
 these, with the words that define each. Stages that were not done are null; ``quality`` has an object for each stage that was.
 """
@@ -27,6 +28,7 @@ VERSION = 1
 _Vector = tuple[float, float, float]
 _Missing = tuple[None, None, None]
 _Number = Annotated[float, Field(allow_inf_nan=False)]
+_Spread = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 _PLANE_TURN = "normal . X + offset grows by this times (X - plane_pivot) . {} of the plane"
 _AXIS_TURN = "the axis and its frame turn about {} of the base frame, right-handed, about axis_pivot"
@@ -67,6 +69,7 @@ class CalibrationFile:
     angle_error: AngleError = field(default_factory=AngleError)
     covariance: SystemCovariance | None = None
     line_sigma_mm: float = 0.0
+    stripe_blur_px: float = 0.0
 
     def system(self, initial_axis: bool = False) -> SystemCalibration | None:
         """What a scan needs, or None if a part is missing. The initial axis knows no angle error, and has no covariance."""
@@ -83,6 +86,7 @@ class CalibrationFile:
             angle_error=AngleError() if initial_axis else self.angle_error,
             covariance=None if initial_axis else self.covariance,
             line_sigma_mm=self.line_sigma_mm,
+            stripe_blur_px=self.stripe_blur_px,
         )
 
 
@@ -137,7 +141,8 @@ class _Document(_Strict):
     rotation_axis_initial_camera: _Axis | None = None
     angle_error: _AngleError | None = None
     covariance: _Covariance | None = None
-    line_sigma_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    line_sigma_mm: _Spread = 0.0
+    stripe_blur_px: _Spread = 0.0
     turn_sense: int | None = None
     table_seen: bool = False
     quality: dict[str, dict[str, Any]] = Field(default_factory=dict)
@@ -165,6 +170,7 @@ def write_calibration(path: Path, content: CalibrationFile) -> None:
         "laser_plane_camera": None if plane is None else {"normal": plane.normal, "offset": plane.offset},
         "laser_curvature": _curvature_json(plane, content.laser_curvature),
         "line_sigma_mm": content.line_sigma_mm,
+        "stripe_blur_px": content.stripe_blur_px,
         "rotation_axis_camera": _axis_json(content.rotation_axis_camera),
         "rotation_axis_initial_camera": _axis_json(content.rotation_axis_initial_camera),
         "turn_sense": None if content.rotation_axis_camera is None else content.turn_sense,
@@ -246,6 +252,7 @@ def read_calibration(path: Path) -> CalibrationFile:
         angle_error=_angle_error(document.angle_error),
         covariance=_covariance(path, document),
         line_sigma_mm=document.line_sigma_mm,
+        stripe_blur_px=document.stripe_blur_px,
     )
 
 

@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from rotaline.calibration.joint.line_width import centre_shift, crossing
+from rotaline.calibration.joint.line_width import crossing
 from rotaline.calibration.joint.rays import RayBundle
 from rotaline.calibration.model import SystemCalibration
+from rotaline.calibration.stripe_shift import stripe_shift
 from rotaline.geometry.intersect import sheet_distance
 from rotaline.metrology.model import FeatureMeasurement
 from rotaline.scanning.cloud import PointCloud
@@ -82,17 +83,20 @@ def moves_back(
     depth = points[:, 2]
     bundle = RayBundle.of(system.camera, system.camera.project(points))
     rays = bundle.directions
-    by_px = np.einsum("nij,nj->ni", bundle.by_pixel, _stripe_normals(bundle, np.cross(sheet, normals)))
-    a, b = crossing(rays, by_px, depth, normals, curvature, camera_from_table.apply(straight_table), sheet)
-    back_px = -(system.line_sigma_mm**2) * centre_shift(a, b)
+    along = _stripe_directions(bundle, np.cross(sheet, normals))
+    along_px = np.einsum("nij,nj->ni", bundle.by_pixel, along)
+    by_px = np.einsum("nij,nj->ni", bundle.by_pixel, np.column_stack([-along[:, 1], along[:, 0]]))
+    surface = (depth, normals, curvature, camera_from_table.apply(straight_table), sheet)
+    a, b = crossing(rays, by_px, *surface)
+    _, d = crossing(rays, along_px, *surface)
+    back_px = -stripe_shift(a, b, d, system.line_sigma_mm, system.stripe_blur_px)
     aside = np.column_stack([by_px * depth[:, None], np.zeros(len(depth))])
     along_ray = np.sum(sheet * aside, axis=1) / np.sum(sheet * rays, axis=1)
     return np.asarray(camera_from_table.inv().apply((aside - rays * along_ray[:, None]) * back_px[:, None]))
 
 
-def _stripe_normals(bundle: RayBundle, tangents_camera: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
-    """Unit normals in the image of curves with these tangents in space."""
+def _stripe_directions(bundle: RayBundle, tangents_camera: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+    """Unit directions in the image of curves with these tangents in space."""
     by_xy = tangents_camera[:, :2] - bundle.directions[:, :2] * tangents_camera[:, 2:]
     along = np.linalg.solve(bundle.by_pixel, by_xy[:, :, None])[:, :, 0]
-    across = np.column_stack([-along[:, 1], along[:, 0]])
-    return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True))
+    return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))

@@ -7,12 +7,12 @@ import numpy as np
 from rotaline.calibration.artifact import SENSE_ASSUMED
 from rotaline.calibration.joint.estimate import estimate_jointly
 from rotaline.calibration.joint.model import GroupKind, JointCalibration, JointStart, MountStart
+from rotaline.calibration.joint.observability import u_of_points
 from rotaline.calibration.model import (
     AxisCalibration,
     CameraCalibration,
     LaserPlaneCalibration,
     SystemCalibration,
-    SystemCovariance,
 )
 from rotaline.calibration.mount_start import start_from_artifact, start_mounts
 from rotaline.calibration.observations import MountObservation, SessionObservations
@@ -120,6 +120,7 @@ def joint_system(joint: JointCalibration) -> SystemCalibration | None:
         angle_error=joint.angle_error,
         covariance=joint.covariance,
         line_sigma_mm=joint.line_sigma_mm,
+        stripe_blur_px=joint.stripe_blur_px,
     )
 
 
@@ -130,15 +131,13 @@ def _figures(joint: JointCalibration) -> tuple[str, ...]:
     for mount in joint.mounts:
         surfaces = ", ".join(f"{name} {rms:.4f}" for name, rms in zip(mount.surfaces, mount.rms_mm, strict=True))
         lines.append(f"{mount.name}: {surfaces} mm RMS")
-    known = []
-    for what, shifts, turns in (
-        ("axis", ("axis_shift_x", "axis_shift_y"), ("axis_turn_x", "axis_turn_y")),
-        ("laser plane", ("plane_offset",), ("plane_turn_1", "plane_turn_2")),
-    ):
-        if shifts[0] in joint.covariance.names:
-            u_mm, u_rad = largest_u(joint.covariance, shifts), largest_u(joint.covariance, turns)
-            known.append(f"{what} to {1e3 * u_mm:.1f} um and {1e6 * u_rad:.0f} urad")
-    return (*lines, *([", ".join(known) + " (k = 1)"] if known else []))
+    if joint.weak_directions:
+        across = next(w for w in joint.weak_directions if w.quantity == "axis position across the laser plane")
+        u_points = u_of_points(joint)
+        lines.append(
+            f"points near the axis to {1e3 * u_points:.2g} um, axis across the laser plane to {1e3 * across.u:.2g} um (k = 1)"
+        )
+    return tuple(lines)
 
 
 def _rms_px(joint: JointCalibration, kind: GroupKind) -> float:
@@ -146,9 +145,3 @@ def _rms_px(joint: JointCalibration, kind: GroupKind) -> float:
     if not groups:
         return float("nan")
     return float(np.sqrt(np.average([g.rms_px**2 for g in groups], weights=[g.n_used for g in groups])))
-
-
-def largest_u(covariance: SystemCovariance, names: Sequence[str]) -> float:
-    """Standard uncertainty in the worst direction of the parameters ``names``, which share a unit."""
-    rows = [covariance.names.index(name) for name in names]
-    return float(np.sqrt(np.linalg.eigvalsh(covariance.matrix[np.ix_(rows, rows)])[-1]))

@@ -30,7 +30,7 @@ class CalibrationOptions:
     """Options of the calibration as a whole."""
 
     method: Method = field(
-        default="article",
+        default="joint",
         metadata={
             "help": "joint: one estimate of camera, laser plane, axis and artefacts from all observations; article: one refinement "
             "after the other, with cross-ratios and feature points"

@@ -88,6 +88,7 @@ def _joint_figures(joint: JointCalibration) -> dict[str, Any]:
                 "name": g.name,
                 "rms_px": g.rms_px,
                 "sigma_px": g.sigma_px,
+                "rms_mm": g.rms_mm,
                 "predicted_px": g.predicted_px,
                 "correlation_length": g.correlation_length,
                 "n_points": g.n_points,

@@ -49,7 +49,7 @@ class WorkPlan:
             for name, result in _results(work, missing, self.jobs):
                 path = paths[name]
                 if path is not None:
-                    write_record(path, result)
+                    _keep(path, result)
                 done[name] = result
                 count()
         return [done[name] for name in units]
@@ -57,7 +57,8 @@ class WorkPlan:
     def _path(self, label: str, name: str, unit: Any) -> Path | None:
         if self.folder is None:
             return None
-        return self.folder / "realisations" / f"{label}-{name}.{key_of(label, unit)}.npz".replace(" ", "-")
+        stem = f"{label}-{name}".replace(" ", "-").replace(".", "_")
+        return self.folder / "realisations" / f"{stem}.{key_of(label, unit)}.npz"
 
 
 def _stored(path: Path) -> Any:
@@ -66,6 +67,14 @@ def _stored(path: Path) -> Any:
     except SessionError as error:
         LOG.warning("%s", error)
         return None
+
+
+def _keep(path: Path, result: Any) -> None:
+    """In place of what other versions of the program left."""
+    write_record(path, result)
+    for other in path.parent.glob(f"{path.name.split('.')[0]}.*.npz"):
+        if other != path:
+            other.unlink()
 
 
 def _results(work: Callable[[Any], T], units: Mapping[str, Any], jobs: int) -> Iterator[tuple[str, T]]:

@@ -135,6 +135,7 @@ class Run:
             angle_error=joint.angle_error if joint else AngleError(),
             covariance=joint.covariance if joint else None,
             line_sigma_mm=joint.line_sigma_mm if joint else 0.0,
+            stripe_blur_px=joint.stripe_blur_px if joint else 0.0,
         )
         write_calibration(self._folder / "calibration.json", content)
         self._keep_verdict(judge_parts(parts))
@@ -363,9 +364,9 @@ class Run:
             return ()
         keys = {folder: _cloud_key(cloud) for folder, cloud in clouds.items()}
         covariance = system.covariance.matrix.tolist() if system is not None and system.covariance is not None else None
-        line_sigma_mm = system.line_sigma_mm if system is not None else 0.0
+        spread = (system.line_sigma_mm, system.stripe_blur_px) if system is not None else None
         asked = [r.model_dump(mode="json") for r in requests]
-        key = key_of(asked, keys, covariance, line_sigma_mm, self._options.measure)
+        key = key_of(asked, keys, covariance, spread, self._options.measure)
         return self._store.get(name, title, key, compute)
 
     def _surface(self, folder: str, cloud: PointCloud) -> SurfaceSummary:

@@ -23,7 +23,14 @@ from rotaline.pipeline.calibrate import calibrate_observations
 from rotaline.pipeline.options import CalibrationOptions, Options
 from rotaline.pipeline.realisations import WorkPlan
 from rotaline.pipeline.twin import TracedTwin, trace_twin
-from rotaline.pipeline.twin_errors import QuantityError, feature_errors, measure_scans, plan_requests, system_errors, truth_of
+from rotaline.pipeline.twin_errors import (
+    QuantityError,
+    feature_errors,
+    measure_scans,
+    plan_requests,
+    system_errors,
+    truth_of,
+)
 
 TARGET_PX, STRIPE_PX = 0.02, 0.05
 """Noise of the points of plates, in u and in v, and of stripe centres, along the normal."""
@@ -32,7 +39,9 @@ STEP_DEG = 8.0
 COVERAGE_FACTOR = 1.96
 NOMINAL = 0.95
 POOLED_BAR, QUANTITY_BAR = (0.93, 0.97), (0.90, 0.985)
-N_PER_SESSION = 10
+N_SESSIONS = 20
+LINE_WIDTH_MM = 0.03
+"""Of the laser line: a wide one shifts the stripe on curved surfaces, which traced stripes do not show."""
 JUDGED_GROUPS = ("axis", "plane", "features")
 JOINT_OPTIONS = Options(calibration=CalibrationOptions(method="joint"))
 
@@ -111,13 +120,14 @@ def verify_uncertainty(n_realisations: int, plan: WorkPlan) -> UncertaintyVerifi
 
     Parameters
     ----------
-    n_realisations : in all; ten of each session
+    n_realisations : in all, evenly of twenty sessions
     plan : how the work is done
     """
-    units = {}
-    for session, first in enumerate(range(0, n_realisations, N_PER_SESSION)):
-        seeds = tuple(range(first, min(first + N_PER_SESSION, n_realisations)))
-        units[f"{session:03d}"] = SessionUnit(session, seeds)
+    n_sessions = min(N_SESSIONS, n_realisations)
+    units = {
+        f"{session:03d}": SessionUnit(session, tuple(range(session, n_realisations, n_sessions)))
+        for session in range(n_sessions)
+    }
     found = [r for session in plan.do("uncertainty", session_errors, units) for r in session]
     return summarise(found)
 
@@ -130,7 +140,7 @@ def session_errors(unit: SessionUnit) -> tuple[Realisation, ...]:
 
 def article_session(session: int) -> RigFile:
     """The preset of the article with larger steps, and other prints and another table in each session."""
-    file = with_steps(read_preset("article"), STEP_DEG)
+    file = observed_preset(STEP_DEG, STEP_DEG)
     rng = np.random.default_rng([41, session])
     targets = {
         name: target.model_copy(update={"print_seed": 1000 + 10 * session + k})
@@ -140,14 +150,20 @@ def article_session(session: int) -> RigFile:
     return replace(file, tables=file.tables.model_copy(update={"targets": targets, "turntable": turntable}))
 
 
-def with_steps(file: RigFile, artifact_deg: float, scan_deg: float | None = None) -> RigFile:
-    """The same with other steps between the frames of mounts and of scans."""
-    steps = {"artifact": artifact_deg, "scan": artifact_deg if scan_deg is None else scan_deg}
+def observed_preset(artifact_deg: float, scan_deg: float) -> RigFile:
+    """The preset of the article as stripes are traced: larger steps between the frames of mounts and of scans, and a thin line of the same light."""
+    file = read_preset("article")
+    tables = file.tables
+    steps = {"artifact": artifact_deg, "scan": scan_deg}
 
     def stepped(capture: CaptureTable) -> CaptureTable:
         return capture.model_copy(update={"step_deg": steps[capture.role]}) if capture.role in steps else capture
 
-    return replace(file, tables=file.tables.model_copy(update={"captures": [stepped(c) for c in file.tables.captures]}))
+    brighter = tables.laser.line_width_mm / LINE_WIDTH_MM
+    laser = tables.laser.model_copy(update={"line_width_mm": LINE_WIDTH_MM, "divergence_mrad": 0.0})
+    light = tables.light.model_copy(update={"exposure_on_ms": brighter * tables.light.exposure_on_ms})
+    captures = [stepped(c) for c in tables.captures]
+    return replace(file, tables=tables.model_copy(update={"laser": laser, "light": light, "captures": captures}))
 
 
 @lru_cache(maxsize=1)
@@ -176,7 +192,9 @@ def summarise(realisations: Sequence[Realisation]) -> UncertaintyVerification:
     sessions = np.array([r.session for r in good])
     names = dict.fromkeys((e.group, e.name, e.unit) for r in good for e in r.errors)
     columns = {key: _column(good, *key[:2]) for key in names}
-    rows = [_row("all", "", "", [c for k, c in columns.items() if k[0] in JUDGED_GROUPS], sessions, POOLED_BAR)]
+    rows = []
+    if judged := [column for key, column in columns.items() if key[0] in JUDGED_GROUPS]:
+        rows.append(_row("all", "", "", judged, sessions, POOLED_BAR))
     for group in (*JUDGED_GROUPS, "camera"):
         mine = {key: column for key, column in columns.items() if key[0] == group}
         if not mine:

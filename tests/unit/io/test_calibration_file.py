@@ -26,6 +26,8 @@ JOINT = replace(
     CONTENT,
     laser_curvature=SheetCurvature(np.array([1.0, 2.0, 170.0]), (1e-5, -2e-5, 3e-5)),
     angle_error=AngleError(1e-4, -2e-4),
+    line_sigma_mm=0.08,
+    stripe_blur_px=0.7,
     covariance=SystemCovariance(NAMES, MIXED @ MIXED.T, np.array([1.0, 2.0, 170.0]), np.array([1.0, 21.0, 280.0])),
 )
 
@@ -59,6 +61,7 @@ def test_the_joint_estimate_comes_back_whole(tmp_path):
     assert (system.laser_curvature.origin == JOINT.laser_curvature.origin).all()
     assert system.laser_curvature.coefficients == JOINT.laser_curvature.coefficients
     assert system.angle_error == JOINT.angle_error
+    assert (system.line_sigma_mm, system.stripe_blur_px) == (0.08, 0.7)
     assert system.covariance.names == NAMES
     assert (system.covariance.matrix == JOINT.covariance.matrix).all()
     assert (system.covariance.plane_pivot_camera == JOINT.covariance.plane_pivot_camera).all()
@@ -124,6 +127,7 @@ def test_a_calibration_without_an_axis_makes_no_system(tmp_path):
         (lambda d: d["covariance"]["names"].__setitem__(0, "focus"), r"covariance\.names: found focus"),
         (lambda d: d["covariance"]["names"].pop(), r"covariance\.matrix: .* 7 rows of 7"),
         (lambda d: d["covariance"]["matrix"][2].pop(), r"covariance\.matrix: .* 8 rows of 8"),
+        (lambda d: d.update(line_sigma_mm=-0.1), "line_sigma_mm: input should be greater"),
         (lambda d: d.update(laser_curvature=None), r"covariance\.names: found curvature_uv"),
         (lambda d: d["angle_error"].pop("sin"), r"angle_error\.sin"),
     ],

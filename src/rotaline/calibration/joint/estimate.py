@@ -21,17 +21,17 @@ import numpy as np
 from rotaline.calibration.joint.begin import in_one_order, start_noise, start_state
 from rotaline.calibration.joint.data import gather
 from rotaline.calibration.joint.iterate import Iterated, Setting, iterate, prior_rows, row_weights
-from rotaline.calibration.joint.line_width import line_sigma
+from rotaline.calibration.joint.line_width import line_and_blur
 from rotaline.calibration.joint.model import JointCalibration, JointStart, OptionalParameters
 from rotaline.calibration.joint.noise import Noise
 from rotaline.calibration.joint.optional import CHANCE, Assessment, assess, candidates, described
 from rotaline.calibration.joint.print_errors import PrintView, learn_print_errors, print_model, print_views
 from rotaline.calibration.joint.result import slot_values, to_result
-from rotaline.calibration.joint.state import Layout, State
+from rotaline.calibration.joint.state import Layout, State, n_mount_parameters
 from rotaline.calibration.joint.surfaces import size_names, size_scale
 from rotaline.calibration.observations import SessionObservations
 from rotaline.errors import CalibrationError
-from rotaline.geometry.primitives import Artifact, KnownSphere, SteppedCylinder
+from rotaline.geometry.primitives import Artifact, SteppedCylinder
 
 _MAX_ROUNDS = 4
 MIN_FRAMES = 3
@@ -85,11 +85,11 @@ def estimate_jointly(
     n_iterations = found.n_iterations
     state, noise = found.state, found.noise
     prints: dict[int, PrintView] = {}
-    sigma = _line_sigma(found)
+    sigma, blur_px = _line_and_blur(found)
     if sigma > 0:
         setting = replace(setting, line_variance=sigma**2)
         layout = layout.with_slot("line", 1)
-        state = replace(state, line_variance=sigma**2)
+        state = replace(state, line_variance=sigma**2, stripe_blur_px=blur_px)
     if options.print_errors:
         noise, prints = _print_errors(setting, found)
     found = iterate(setting, layout, state, noise, found.band_mm, found.effects, prints)
@@ -133,7 +133,7 @@ def _base_layout(setting: Setting, state: State) -> Layout:
         slots.append(("axis", 4))
     slots += [(f"board:{b}", 6) for b in range(data.n_boards)]
     for k, artifact in enumerate(state.artifacts):
-        slots.append((f"mount:{k}", 3 if isinstance(artifact, KnownSphere) else 5))
+        slots.append((f"mount:{k}", n_mount_parameters(artifact)))
     for group in sorted(set(data.artifact_groups)):
         artifact = setting.artifact_of(group)
         if artifact.tolerance > 0:
@@ -171,12 +171,12 @@ def _require(setting: Setting, found: Iterated) -> None:
         raise CalibrationError("The joint estimate did not settle.")
 
 
-def _line_sigma(found: Iterated) -> float:
-    """Standard deviation of the laser line from the widths of the stripes on all artefacts, mm."""
+def _line_and_blur(found: Iterated) -> tuple[float, float]:
+    """Standard deviations of the laser line (mm) and of the blur (px) from the widths of the stripes on all artefacts."""
     points = [f.mount for f in found.frames if f.mount is not None]
     if not points:
-        return 0.0
-    return line_sigma(np.concatenate([p.width_px for p in points]), np.concatenate([p.steepness for p in points]))
+        return 0.0, 0.0
+    return line_and_blur(np.concatenate([p.width_px for p in points]), np.concatenate([p.steepness for p in points]))
 
 
 def _print_errors(setting: Setting, found: Iterated) -> tuple[Noise, dict[int, PrintView]]:

@@ -116,10 +116,7 @@ def _mount_without(
         if frame.mount != k or residuals.mount is None or not len(residuals.raw):
             continue
         left = residuals.raw + _globals(found, first + i) @ step
-        mm_per_px = np.divide(
-            residuals.mount.distances_mm, residuals.raw, out=np.zeros_like(left), where=residuals.raw != 0
-        )
         kept = residuals.weight > KEPT
-        squares += float(np.sum((left * mm_per_px)[kept] ** 2))
+        squares += float(np.sum((left * residuals.rows.mm_per_px)[kept] ** 2))
         n += int(np.count_nonzero(kept))
     return float(np.sqrt(squares / n)) if n else float("nan")

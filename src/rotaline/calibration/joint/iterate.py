@@ -135,7 +135,7 @@ def iterate(
         eliminated = eliminate(triangles, layout)
         solution, effects, _ = solve_all(setting, layout, state, noise, frames, triangles, eliminated, prints)
         size = float(np.linalg.norm(solution.factor @ solution.step))
-        settled = size < _SETTLED * np.sqrt(max(layout.size, 1))
+        settled = bool(size < _SETTLED * np.sqrt(max(layout.size, 1)))
         state = _step(setting, layout, state, solution)
         last, noise = noise, _learn_variances(setting.data, noise, solution)
         steady = bool(np.all(np.abs(np.log(np.maximum(noise.table, 1e-8) / np.maximum(last.table, 1e-8))) < 0.05))

@@ -1,15 +1,8 @@
-"""A laser line has a width, and on a curved surface the middle of its image is not the image of its middle.
+"""How a surface passes through the sheet of light, and how wide the line is.
 
-Along the stripe's normal in the image (``s``, px) the surface passes through the sheet of light: its distance from the middle of the sheet is
-``t(s) = a s + b s^2 / 2`` (mm). Light with the Gaussian profile of the standard deviation ``sigma`` then has its centre of gravity not at ``s = 0`` but at
-
-``shift = sigma^2 E[...] = -3 b sigma^2 / (2 a^3)`` (px),
-
-to first order in ``b``: half of it because the middle of the parabola is not its mean, the rest because the image is denser where the surface is steeper. On a
-ball or rod of radius R lit through its axis that takes 3 sigma^2 / R off the diameter. The blur of the lens, being symmetric, changes nothing. A change of
-the surface's brightness across the line would add to it; it is small where the sheet passes near the axis, and stands in the uncertainty.
-
-The width itself follows from the widths of the stripes: ``width_px^2 = blur_px^2 + (sigma / a)^2``, and ``a`` differs widely over the surfaces.
+What the width of the line does to the centre of a stripe on a curved surface stands in :mod:`rotaline.calibration.stripe_shift`; here are the
+derivatives that it needs, and the width itself. It follows from the widths of the stripes on surfaces of different steepness ``a`` (mm of distance from the sheet
+per px): ``width_px^2 = blur_px^2 + (sigma / a)^2``.
 """
 
 import numpy as np
@@ -53,13 +46,19 @@ def crossing(
     return slope * through + depth_mm * across, second * through + 2.0 * slope * across
 
 
-def centre_shift(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Shift of the stripe's centre along its normal for a line of ``sigma`` = 1 mm, px / mm^2."""
-    return np.asarray(-1.5 * b / a**3)
+def line_and_blur(width_px: Float[np.ndarray, " n"], a: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """Standard deviations of the line (mm) and of the blur (px) from the widths of stripes on surfaces of different steepness.
+
+    The line is 0 where they do not show it.
+    """
+    sigma = _line_sigma(width_px, a)
+    good = np.isfinite(width_px) & np.isfinite(a) & (np.abs(a) > 0)
+    if not good.any():
+        return sigma, 0.0
+    return sigma, float(np.sqrt(max(float(np.median(width_px[good] ** 2 - (sigma / a[good]) ** 2)), 0.0)))
 
 
-def line_sigma(width_px: Float[np.ndarray, " n"], a: Float[np.ndarray, " n"]) -> float:
-    """Standard deviation of the line (mm) from the widths of stripes on surfaces of different steepness; 0 where they do not show it."""
+def _line_sigma(width_px: Float[np.ndarray, " n"], a: Float[np.ndarray, " n"]) -> float:
     good = np.isfinite(width_px) & np.isfinite(a) & (np.abs(a) > 0)
     if np.count_nonzero(good) < _MIN_POINTS:
         return 0.0

@@ -45,7 +45,9 @@ class ResidualGroup:
     """Residuals that share a scale: the target points or the stripes of one capture.
 
     ``sigma_px`` is the robust standard deviation of one residual; ``correlation_length`` how many neighbours along a stripe count as one
-    (1 for target points); ``predicted_px`` the root mean square of the uncertainty that the detector stated.
+    (1 for target points); ``predicted_px`` the root mean square of the uncertainty that the detector stated; ``rms_mm`` that of the distances of
+    stripe points from where they should lie (NaN for target points). Errors of the frame itself, and of single points of targets, are taken off the residuals,
+    except on artefacts: a scan has them too.
     """
 
     kind: GroupKind
@@ -57,6 +59,7 @@ class ResidualGroup:
     correlation_length: float
     n_points: int
     n_used: int
+    rms_mm: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +169,7 @@ class JointCalibration:
     ``camera_names`` are the camera parameters that were estimated. ``parameters`` gives value, standard uncertainty and unit of every
     calibrated quantity by name. ``turn_sense`` is the one that came in. ``axis_camera`` is None in sessions without a turntable; then
     ``covariance`` has no axis. ``line_sigma_mm`` is the standard deviation of the laser line across the sheet, for which the surfaces of artefacts
-    are corrected; 0 where the stripes do not show it.
+    are corrected, ``stripe_blur_px`` that of the image of a line without width; 0 where the stripes do not show it.
     """
 
     camera: CameraModel
@@ -190,6 +193,7 @@ class JointCalibration:
     seconds: float
     warnings: tuple[str, ...]
     line_sigma_mm: float = 0.0
+    stripe_blur_px: float = 0.0
 
 
 @dataclass(frozen=True)

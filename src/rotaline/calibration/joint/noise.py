@@ -44,8 +44,8 @@ class Noise:
 
     scale: Float[np.ndarray, " g"]
     correlation: Float[np.ndarray, " g"]
-    table: Float[np.ndarray, "4"] = field(default_factory=lambda: np.array([2e-5, 1e-3, 5e-4, 1e-5]))
-    plate_mm: float = 2e-3
+    table: Float[np.ndarray, "4"] = field(default_factory=lambda: np.array([1e-3, 3e-2, 1e-2, 3e-4]))
+    plate_mm: float = 2e-2
     print_mm: Float[np.ndarray, " t"] = field(default_factory=lambda: np.zeros(0))
     frame: Float[np.ndarray, " f"] = field(default_factory=lambda: np.ones(0))
 

@@ -21,7 +21,7 @@ from rotaline.calibration.joint.model import (
 )
 from rotaline.calibration.joint.noise import KEPT, TABLE_CLASSES, TABLE_ERRORS, determined
 from rotaline.calibration.joint.observability import weak_directions
-from rotaline.calibration.joint.state import State
+from rotaline.calibration.joint.state import POSE_MOTIONS, State
 from rotaline.calibration.joint.surfaces import mid_height, sizes_of, surface_names
 from rotaline.calibration.model import SystemCovariance
 from rotaline.geometry.primitives import KnownSphere, Line, SheetCurvature
@@ -92,6 +92,7 @@ def to_result(
         seconds=0.0,
         warnings=(),
         line_sigma_mm=float(np.sqrt(max(state.line_variance, 0.0))),
+        stripe_blur_px=state.stripe_blur_px,
     )
     return replace(result, weak_directions=weak_directions(result))
 
@@ -168,6 +169,7 @@ def _groups(setting: Setting, found: Iterated, left_out: HeldOut) -> tuple[Resid
         *((f.name, f.name, f.angle_rad) for f in data.mount_frames),
     ]
     views: list[list[ViewResiduals]] = [[] for _ in data.groups]
+    squares_mm: list[list[Float[np.ndarray, " _"]]] = [[] for _ in data.groups]
     predicted: list[list[Float[np.ndarray, " _"]]] = [[] for _ in data.groups]
     for k, frame in enumerate(found.frames):
         name, stripe_name, angle = names[k]
@@ -175,7 +177,9 @@ def _groups(setting: Setting, found: Iterated, left_out: HeldOut) -> tuple[Resid
             mine = frame.rows.group == g
             is_stripe = data.groups[g].kind in ("plate-stripe", "artifact")
             width = 1 if is_stripe else 2
-            residuals = frame.raw[mine].reshape(-1, width)
+            # what belongs to the frame or to single points of a target is no misfit; on artefacts it is, for a scan has it too
+            left = frame.raw if data.groups[g].kind == "artifact" else frame.cleaned
+            residuals = left[mine].reshape(-1, width)
             weight = frame.weight[mine][::width]
             kept = weight > KEPT
             rms = float(np.sqrt(np.mean(np.sum(residuals[kept] ** 2, axis=1)))) if kept.any() else float("nan")
@@ -193,6 +197,7 @@ def _groups(setting: Setting, found: Iterated, left_out: HeldOut) -> tuple[Resid
                 )
             )
             predicted[g].append(frame.rows.u[mine])
+            squares_mm[g].append((left * frame.rows.mm_per_px)[mine & (frame.weight > KEPT)] ** 2)
     out = []
     for g, info in enumerate(data.groups):
         if not views[g]:
@@ -214,6 +219,7 @@ def _groups(setting: Setting, found: Iterated, left_out: HeldOut) -> tuple[Resid
                 float(found.noise.correlation[g]),
                 len(residuals),
                 int(np.count_nonzero(kept)),
+                float(np.sqrt(np.mean(np.concatenate(squares_mm[g])))) if stripe and kept.any() else float("nan"),
             )
         )
     return tuple(out)
@@ -253,7 +259,8 @@ def _mounts(setting: Setting, found: Iterated, left_out: HeldOut) -> tuple[Joint
         pose = state.mounts[k]
         middle = pose.apply(np.array([[0.0, 0.0, mid_height(artifact)]]))[0]
         slot = found.layout.of(f"mount:{k}")
-        shift = found.solution.covariance[slot, slot][-3:-1, -3:-1]
+        sideways = slot.start + POSE_MOTIONS[slot.stop - slot.start].index(3)
+        shift = found.solution.covariance[sideways : sideways + 2, sideways : sideways + 2]
         eccentricity = float(np.hypot(middle[0], middle[1]))
         towards = middle[:2] / eccentricity if eccentricity > 0 else np.array([1.0, 0.0])
         tilt = float("nan")

@@ -19,12 +19,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rotaline.calibration.joint.data import JointData, MountFrame, PlateFrame, StripeLine, TableFrame, TargetPoints
-from rotaline.calibration.joint.line_width import centre_shift, crossing
+from rotaline.calibration.joint.line_width import crossing
 from rotaline.calibration.joint.rays import RayBundle
 from rotaline.calibration.joint.state import Rigid, State, base_motion, turned_rad
 from rotaline.calibration.joint.surfaces import NONE, assign, by_sizes, curvature_of, has_axis, surface_names
 from rotaline.calibration.reprojection import projection_jacobians
+from rotaline.calibration.stripe_shift import STRIP_VARIANCE_PX2, WINDOW_SHARE
 from rotaline.geometry.fitting import across
+from rotaline.geometry.primitives import KnownSphere
 from rotaline.vision.targets.model import bend_basis
 
 EDGE_WIDTHS = 3.0
@@ -46,6 +48,7 @@ class Rows:
     u : (n,)   relative standard uncertainty of a residual
     point : (n,)   number of the point: both coordinates of a target point share it
     piece : (n,)   points of a stripe with the same number follow each other without a gap
+    mm_per_px : (n,)   distance (mm) per px of the residual; NaN for target points
     place : of target points: (n, 2) derivative by an offset of the point in x and y of its board, else None
     """
 
@@ -56,6 +59,7 @@ class Rows:
     u: Float[np.ndarray, " n"]
     point: Int[np.ndarray, " n"]
     piece: Int[np.ndarray, " n"]
+    mm_per_px: Float[np.ndarray, " n"]
     place: Float[np.ndarray, "m 2 2"] | None
 
 
@@ -109,7 +113,9 @@ def table_rows(state: State, frame: TableFrame, names: Sequence[str]) -> Rows:
     )  # a shift of the points in the camera frame, seen from the base frame
     base_points = np.repeat(base.apply_inverse(camera_points), 2, axis=0)
     local = np.hstack([np.cross(base_points, by_base_point), by_base_point])
-    return Rows(rows.residuals, local, rows.common, rows.group, rows.u, rows.point, rows.piece, rows.place)
+    return Rows(
+        rows.residuals, local, rows.common, rows.group, rows.u, rows.point, rows.piece, rows.mm_per_px, rows.place
+    )
 
 
 def mount_rows(
@@ -160,7 +166,14 @@ def mount_rows(
     axis_base = np.einsum("nij,j->ni", turns, pose.rotation[:, 2]) if has_axis(artifact) else np.zeros((len(frames), 3))
     straight = (axis_base @ base.rotation.T)[number]
     steepness, bend = crossing(rays, by_px, depth, normal_camera, curvature, straight, gradient / length[:, None])
-    shift = centre_shift(steepness, bend)
+    share = state.line_variance / steepness**2
+    share = 1.0 - WINDOW_SHARE * share / np.maximum(share + state.stripe_blur_px**2, 1e-12)
+    by_variance = -1.5 * bend / steepness**3 * share
+    shift = state.line_variance * by_variance
+    if isinstance(artifact, KnownSphere):  # the stripe is curved in the image
+        by_px = np.einsum("nij,nj->ni", bundle.by_pixel, tangent)
+        _, curved = crossing(rays, by_px, depth, normal_camera, curvature, straight, gradient / length[:, None])
+        shift = shift - curved / (2.0 * steepness) * (state.stripe_blur_px**2 + STRIP_VARIANCE_PX2)
     out = []
     sheet = _sheet_columns(state, points_camera)
     for f, frame in enumerate(frames):
@@ -174,9 +187,9 @@ def mount_rows(
             "plane": -lever[chosen, None] * sheet[0][chosen] * scale[:, None],
             "curvature": -lever[chosen, None] * sheet[1][chosen] * scale[:, None],
             f"sizes:{group}": by_sizes(artifact, found.surface[chosen]) * scale[:, None],
-            "line": -shift[chosen, None],
+            "line": -by_variance[chosen, None],
         }
-        residuals = found.distance[chosen] * scale - state.line_variance * shift[chosen]
+        residuals = found.distance[chosen] * scale - shift[chosen]
         inside = chosen - int(np.searchsorted(number, f))
         rows = Rows(
             residuals,
@@ -186,6 +199,7 @@ def mount_rows(
             frame.stripe.u_px[inside],
             np.arange(len(chosen)),
             _pieces(inside, frame.stripe.piece[inside], found.surface[chosen]),
+            per_px[chosen],
             None,
         )
         points = MountPoints(
@@ -251,6 +265,7 @@ def _target_rows(
         np.full(2 * n, points.u),
         np.repeat(np.arange(n), 2),
         np.arange(2 * n),
+        np.full(2 * n, np.nan),
         -by_place[:, :, :2],
     )
 
@@ -310,7 +325,15 @@ def _plate_stripe_rows(
         f"bend:{target}": by_height * basis,
     }
     return Rows(
-        distance * scale, local, common, np.full(n, stripe.group), stripe.u_px, np.arange(n), stripe.piece, None
+        distance * scale,
+        local,
+        common,
+        np.full(n, stripe.group),
+        stripe.u_px,
+        np.arange(n),
+        stripe.piece,
+        1.0 / scale,
+        None,
     )
 
 
@@ -330,6 +353,7 @@ def _joined(target: Rows, stripe: Rows) -> Rows:
         np.concatenate([target.u, stripe.u]),
         np.concatenate([target.point, stripe.point + first_point]),
         np.concatenate([target.piece, stripe.piece]),
+        np.concatenate([target.mm_per_px, stripe.mm_per_px]),
         target.place,
     )
 

@@ -15,8 +15,18 @@ from rotaline.calibration.joint.surfaces import mid_height, sizes_of, with_sizes
 from rotaline.calibration.model import AngleError
 from rotaline.calibration.reprojection import get_parameters, set_parameters
 from rotaline.geometry.fitting import across
-from rotaline.geometry.primitives import Artifact, Plane, unit
+from rotaline.geometry.primitives import Artifact, KnownCylinder, KnownSphere, Plane, unit
 from rotaline.vision.camera import CameraModel
+
+POSE_MOTIONS = {6: (0, 1, 2, 3, 4, 5), 5: (0, 1, 3, 4, 5), 4: (0, 1, 3, 4), 3: (3, 4, 5)}
+"""Which motions (turn about x, y, z; shift along x, y, z) a slot of so many parameters holds."""
+
+
+def n_mount_parameters(artifact: Artifact) -> int:
+    """Without what moves an artefact onto itself: turns of a sphere, a cylinder's turn about its axis, and its shift along it if its ends are unknown."""
+    if isinstance(artifact, KnownSphere):
+        return 3
+    return 4 if isinstance(artifact, KnownCylinder) and artifact.height is None else 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +109,7 @@ class State:
     bends : (3,) of each target, mm
     pitch_errors : of each target, true over stated pitch minus 1
     line_variance : square of the standard deviation of the laser line, mm^2
+    stripe_blur_px : standard deviation of the image of a line without width
     """
 
     camera: CameraModel
@@ -117,6 +128,7 @@ class State:
     bends: tuple[Float[np.ndarray, "3"], ...]
     pitch_errors: tuple[float, ...]
     line_variance: float = 0.0
+    stripe_blur_px: float = 0.0
 
     def mount_pivot(self, mount: int) -> Float[np.ndarray, "3"]:
         """The point of the table frame about which a mount's pose is counted."""
@@ -166,11 +178,8 @@ class State:
         for k, (pose, artifact) in enumerate(zip(self.mounts, self.artifacts, strict=True)):
             move = np.zeros(6)
             slot = f"mount:{k}"
-            n = layout.of(slot).stop - layout.of(slot).start
-            if n == 5:
-                move[[0, 1, 3, 4, 5]] = part(slot, 5)
-            else:
-                move[3:] = part(slot, 3)
+            moves = POSE_MOTIONS[n_mount_parameters(artifact)]
+            move[list(moves)] = part(slot, len(moves))
             mounts.append(pose.moved(move, self.mount_pivot(k)))
             sizes = sizes_of(artifact)
             artifacts.append(with_sizes(artifact, sizes + part(f"sizes:{groups[k]}", len(sizes))))
@@ -244,5 +253,5 @@ def table_motions(
         ]
     )
     size = layout.of(pose_slot).stop - layout.of(pose_slot).start
-    motions[pose_slot] = pose[:, {6: [0, 1, 2, 3, 4, 5], 5: [0, 1, 3, 4, 5], 3: [3, 4, 5]}[size]]
+    motions[pose_slot] = pose[:, list(POSE_MOTIONS[size])]
     return motions

@@ -34,7 +34,6 @@ def angle_scale(axis: AxisCalibration, camera: CameraCalibration | None) -> tupl
         return 1.0, float("nan")
     rotations = Rotation.concatenate([f.camera_from_board.rotation for f in frames])
     read = axis.turn_sense * np.array([f.angle_rad for f in frames])
-    read = np.unwrap(read) if np.all(np.abs(np.diff(read)) < np.pi) else read
     middle = len(frames) // 2
     turned = (rotations * rotations[middle].inv()).as_rotvec() @ axis.axis_camera.direction
     expected = read - read[middle]

@@ -43,9 +43,10 @@ def judge_camera(evidence: Evidence, scale: Scale) -> Judged:
     if np.isfinite(held_out):
         figures.append(Figure("views held out", held_out, "px RMS"))
     matters = scale.matters_mm if np.isfinite(scale.u_noise_mm) else 2e-4 * scale.reach_mm
-    if not 2 * size < matters:
+    parallel = spread < _PARALLEL_DEG
+    if not (2 if parallel else 1) * size < matters:
         why = f"the focal length is known to {1e6 * u_focal:.0f} ppm (k = 1), {um(size)} at the edge of a part"
-        findings.append(_parallel(spread, why, size, scale) if spread < _PARALLEL_DEG else _uncertain(why, size, scale))
+        findings.append(_parallel(spread, why, size, scale) if parallel else _uncertain(why, size, scale))
     ring = _radial_pattern(camera)
     figures.append(Figure("radial pattern of the residuals", ring[0], "px"))
     if ring[1]:
@@ -101,7 +102,7 @@ def _uncertain(why: str, size: float, scale: Scale) -> Finding:
         "doubtful",
         f"The views do not determine the camera as well as the stripe could use it: {why}; views that contradict each other count in this.",
         "Take 10 to 20 views of a stiff, flat target of known pitch, held still, turned by 20 to 45 deg, also near the corners of the image.",
-        gain_of(2 * size, scale) if known else 2.0,
+        gain_of(size, scale) if known else 2.0,
     )
 
 

@@ -14,6 +14,7 @@ from rotaline.calibration.verdict.model import STEPS, Figure, Finding, Level, St
 from rotaline.calibration.verdict.plane_step import judge_plane, near_axis
 
 _CLEAR = 6.0
+_DOUBTED = 10.0
 _FAR = 3.0
 """An error this many times U is no matter of doubt."""
 
@@ -26,7 +27,8 @@ def judge_calibration(evidence: Evidence) -> Verdict:
     are compared, so that it does not look like other causes.
     """
     scale = scale_of(evidence)
-    axis, on_table = _angles_and_artifact(evidence, scale)
+    plane = judge_plane(evidence, scale)
+    axis, on_table = _angles_and_artifact(_with_doubt(evidence, plane), scale)
     u_point = next(
         (u for u in (evidence.u_point_mm, on_table.u_point_mm, _u_of_stages(evidence, scale)) if np.isfinite(u)),
         float("nan"),
@@ -34,7 +36,7 @@ def judge_calibration(evidence: Evidence) -> Verdict:
     judged = [
         judge_light(evidence, scale),
         judge_camera(evidence, scale),
-        judge_plane(evidence, scale),
+        plane,
         axis,
         on_table.artifact,
         on_table.table,
@@ -44,6 +46,23 @@ def judge_calibration(evidence: Evidence) -> Verdict:
     steps = [_with_findings(j.step, findings) for j in judged]
     steps.append(StepVerdict("measure", "none", "No measured part has been compared with a reference."))
     return _verdict(steps, findings, u_point, scale.u_noise_mm)
+
+
+def _with_doubt(evidence: Evidence, plane: Judged) -> Evidence:
+    """A laser plane from poses that contradict each other is off by more than their scatter says: it is not held against the artefact."""
+    doubts = {"drift", "target moved between off and on", "sheet not flat"}
+    found = evidence.laser_plane
+    if found is None or not doubts & {f.cause for f in plane.findings}:
+        return evidence
+    first, second = found.u_normal_rad
+    return replace(
+        evidence,
+        laser_plane=replace(
+            found,
+            u_normal_rad=(_DOUBTED * first, _DOUBTED * second),
+            u_offset_mm=_DOUBTED * found.u_offset_mm,
+        ),
+    )
 
 
 def _u_of_stages(evidence: Evidence, scale: Scale) -> float:

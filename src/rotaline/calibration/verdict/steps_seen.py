@@ -63,6 +63,8 @@ def see_steps(camera: CameraModel, plane_camera: Plane, axis_camera: Line, mount
     """
     rays, heights, slopes, frames = [], [], [], []
     whole = _extent(camera, plane_camera, axis_camera, mount)
+    if not whole > 0:
+        return None
     for f, stripe in enumerate(mount.stripes):
         if len(stripe) < 5:
             continue
@@ -92,7 +94,7 @@ def see_steps(camera: CameraModel, plane_camera: Plane, axis_camera: Line, mount
 
 def _extent(camera: CameraModel, plane: Plane, axis: Line, mount: MountObservation) -> float:
     """Height of all that is seen, without the last hundredths, mm."""
-    uv = np.concatenate([s.uv for s in mount.stripes])
+    uv = np.concatenate([np.empty((0, 2)), *(s.uv for s in mount.stripes)])
     if len(uv) < 20:
         return float("nan")
     height = intersect_rays_with_plane(camera.rays(uv), plane) @ axis.direction

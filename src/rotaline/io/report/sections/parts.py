@@ -207,6 +207,16 @@ def _fit(entry: MeasurementEntry, fitted: FittedPoints | None) -> list[Block]:
             f"{numbers.mm(m.form_error)} mm, {numbers.percent(m.coverage, 0)} % of the feature covered."
         )
     )
+    if m.line_width_correction:
+        added = ", ".join(
+            f"{quantity(key)} {numbers.um(mm, signed=True)} µm" for key, mm in m.line_width_correction.items()
+        )
+        blocks.append(
+            Paragraph(
+                f"In these values, for the width of the laser line and the blur of the lens: {added}. Stripes on balls and rods are seen "
+                "a little inside the surface; residuals and geometry below are those of the fit, before that."
+            )
+        )
     blocks += [Paragraph(f"Doubtful: {text}") for text in m.warnings]
     if fitted is not None and len(fitted.points_table):
         blocks.append(
