@@ -52,23 +52,23 @@ MOUNTS = {
 FULL = ("camera", "laser", "axis", "m1", "m2")
 
 
-def capture(rig, name, board=CHECKERBOARD, dots=DOTS, frames=24):
+def capture(rig, name, board=CHECKERBOARD, dots=DOTS, poses=6, frames=18):
     """The plan of one capture."""
     if name == "camera":
         return camera_capture(rig, board, "checkerboard", 10, 1)
     if name == "laser":
-        return laser_capture(rig, dots, "dots", 6, 1)
+        return laser_capture(rig, dots, "dots", poses, 1)
     if name == "axis":
         return axis_capture(rig, board, "checkerboard", tuple(5.0 * i for i in range(9)))
     kind, pose = MOUNTS[name]
     return scan_capture(rig, SHAPES[kind][0], pose, full_turn(frames), folder=name, role="artifact", target=kind)
 
 
-def twin(names=FULL, rig=RIG, **what):
+def twin(names, rig=RIG, spacing_px=3.0, **what):
     """A traced session of some captures."""
     targets = {"checkerboard": CHECKERBOARD, "dots": DOTS, **{k: a for k, (_, a) in SHAPES.items()}}
     plan = SessionPlan(targets, tuple(capture(rig, name, **what) for name in names))
-    return trace_twin(rig, plan, spacing_px=3.0)
+    return trace_twin(rig, plan, spacing_px=spacing_px)
 
 
 @pytest.fixture(scope="module")
@@ -141,3 +141,248 @@ def optional(found, name):
     (group,) = [o for o in found.optional if o.name == name]
     assert group.on, group.reason
     return np.array(list(group.values.values())), np.array(list(group.u.values()))
+
+
+@pytest.fixture(scope="module")
+def clean(parts):
+    """Observations of a session without errors, and what they give."""
+    observations = observe(put_together(parts))
+    return observations, estimate(observations)
+
+
+def assert_same(found, other, share=0.02):
+    """Camera, plane and axis agree within a part of their uncertainties."""
+    u = np.sqrt(np.diag(found.covariance.matrix))
+    system = joint_system(found)
+    z = {e.name: abs(e.standardised) for e in system_errors(_as_truth(system), joint_system(other))}
+    assert found.covariance.names == other.covariance.names
+    assert max(z.values()) < share, z
+    assert np.sqrt(np.diag(other.covariance.matrix)) == pytest.approx(u, rel=10 * share)
+
+
+def _as_truth(system):
+    truth = truth_of(RIG, SessionPlan({}, ()))
+    return replace(
+        truth,
+        camera=system.camera,
+        laser_plane_camera=system.laser_plane_camera,
+        rotation_axis_camera=system.rotation_axis_camera,
+        turn_sense=system.turn_sense,
+    )
+
+
+def test_a_clean_session(clean):
+    """Truth within its uncertainties; nothing that is not there is found; surfaces without an offset; noise as it was."""
+    _, found = clean
+    assert_true(found)
+    assert on(found) == set()
+    assert found.turn_sense == 1
+    for group in found.groups:
+        sigma = TARGET_PX if "target" in group.kind and "stripe" not in group.kind else STRIPE_PX
+        assert group.sigma_px == pytest.approx(sigma, rel=0.2), group.name
+        assert group.n_used >= 0.99 * group.n_points
+    for m, (_, pose) in zip(found.mounts, (MOUNTS["m1"], MOUNTS["m2"]), strict=True):
+        counts = np.bincount(m.surface[m.used], minlength=4)
+        assert (np.abs(m.mean_mm) < 4 * m.rms_mm / np.sqrt(counts)).all()
+        where = np.hypot(*(pose.apply([0.0, 0.0, 23.5])[:2]))
+        assert abs(m.eccentricity_mm - where) < 4 * m.u_eccentricity_mm
+        assert m.held_out_rms_mm == pytest.approx(np.sqrt(np.mean(m.distances_mm[m.used] ** 2)), rel=0.1)
+    assert found.table is not None
+    assert (found.table.sigma < 4 * np.array([1e-4, 2e-3, 1e-3, 1e-4])).all()
+
+
+def test_the_order_of_frames_and_the_sense_of_the_read_out_do_not_matter(clean):
+    observations, found = clean
+    rng = np.random.default_rng(4)
+
+    def shuffled(values):
+        return tuple(values[i] for i in rng.permutation(len(values)))
+
+    def back(m):
+        order = rng.permutation(len(m.stripes))
+        names, stripes = (tuple(v[i] for i in order) for v in (m.frame_names, m.stripes))
+        return replace(m, frame_names=names, stripes=stripes, angles_rad=-m.angles_rad[order])
+
+    other = replace(
+        observations,
+        camera_views=shuffled(observations.camera_views),
+        plate_views=shuffled(observations.plate_views),
+        table_views=shuffled([replace(v, angle_rad=-v.angle_rad) for v in observations.table_views]),
+        mounts=tuple(back(m) for m in observations.mounts),
+    )
+    turned = estimate(other)
+    assert turned.turn_sense == -1
+    assert_same(found, turned)
+
+
+def test_another_rig(parts):
+    """Camera on the other side of the laser, rolled; the table turns the other way."""
+    plain = build_rig((640, 480), camera_side=1, turn_sense=-1, roll_deg=90.0)
+    rig = replace(plain, laser=replace(plain.laser, sigma_mm=0.02, peak_e_per_ms=5000.0))
+    found = estimate(observe(twin(FULL, rig), 3))
+    assert found.turn_sense == -1
+    assert_true(found, rig)
+
+
+def test_outliers_hardly_matter(parts, clean):
+    """3 % of the stripe points elsewhere, by as much as the stripe is off its neighbours."""
+    found = estimate(observe(put_together(parts), outlier_fraction=0.03, outlier_px=5.0))
+    assert_same(clean[1], found, share=0.5)
+    artifact = [g for g in found.groups if g.kind == "artifact"]
+    assert all(0.02 < 1 - g.n_used / g.n_points < 0.04 for g in artifact)
+
+
+def test_eccentricity_of_the_angle(parts):
+    """The read-out errs by ``E sin(read + phase)``."""
+    rig = replace(RIG, mechanics=Mechanics(angle_eccentricity_deg=0.06, angle_eccentricity_phase_deg=40.0))
+    found = estimate(observe(put_together(parts, other=twin(("axis", "m1", "m2"), rig))))
+    assert_true(found)
+    assert on(found) == {"angle harmonics"}
+    true = np.radians(0.06) * np.array([np.sin(np.radians(40.0)), np.cos(np.radians(40.0))])
+    values, u = optional(found, "angle harmonics")
+    assert (np.abs(values - true) < 4 * u).all()
+    assert (u < 0.25 * np.radians(0.06)).all()
+    assert (found.angle_error.cos_rad, found.angle_error.sin_rad) == pytest.approx(tuple(values))
+
+
+def test_run_out(parts):
+    """Half of it turns against the table: ``R / 2 (cos(a + phase), -sin(a + phase))``; the other half is taken for another place of what stands there."""
+    rig = replace(RIG, mechanics=Mechanics(run_out_um=20.0, run_out_phase_deg=30.0))
+    found = estimate(observe(put_together(parts, other=twin(("axis", "m1", "m2"), rig))))
+    assert_true(found)
+    assert on(found) == {"run-out once per turn"}
+    camera = RIG.camera_from_base.inv().translation  # the base frame of a calibration has its x towards it
+    direction = np.radians(-30.0) - np.arctan2(camera[1], camera[0])
+    values, u = optional(found, "run-out once per turn")
+    assert (np.abs(values - 0.01 * np.array([np.cos(direction), np.sin(direction)])) < 4 * u).all()
+
+
+def test_a_bowed_sheet(parts):
+    """The ends of the fan, 137 mm to both sides at the waist, sag by 0.15 mm."""
+    rig = replace(RIG, laser=replace(RIG.laser, bow_mm=0.15))
+    found = estimate(observe(put_together(parts, other=twin(("laser", "m1", "m2"), rig))))
+    assert on(found) == {"sheet curvature"}
+    assert found.laser_curvature is not None
+    (a, b, c), u = found.laser_curvature.coefficients, optional(found, "sheet curvature")[1]
+    across, along = np.linalg.eigvalsh(np.array([[a, b], [b, c]]))[[0, 1]][np.argsort(np.abs([0.0, 1.0]))]
+    sag = max((across, along), key=abs)
+    laser = RIG.laser
+    waist = 2 * 0.15 / (laser.waist_mm**2 * np.radians(laser.fan_deg / 2) ** 2)
+    side = np.sign(found.laser_plane_camera.normal @ RIG.camera_from_base.rotation.apply(laser.plane_base.normal))
+    assert sag * -side == pytest.approx(waist, abs=4 * u.max())
+    assert abs(sag) > 4 * u.max()
+    z = errors(found)
+    assert max(abs(v) for k, v in z.items() if not k.startswith("plane")) < 4.0  # the plane touches the sheet elsewhere
+
+
+def test_a_wrong_pitch_of_the_target_in_the_sheet(parts):
+    other = twin(("laser",), dots=Plate(DOTS, pitch_error=1e-3), poses=12)
+    found = estimate(observe(put_together(parts, other=other)))
+    assert_true(found)
+    assert on(found) == {"pitch of dots 9 x 9"}
+    values, u = optional(found, "pitch of dots 9 x 9")
+    assert abs(values[0] - 1e-3) < 4 * u[0]
+    assert u[0] < 1e-4
+
+
+def test_a_bent_target_in_the_sheet(parts):
+    """A paraboloid: x^2 and y^2 alike, 0.15 mm at the corners of the plate, whose print is smaller."""
+    plate = Plate(DOTS, flatness_um=150.0)
+    found = estimate(observe(put_together(parts, other=twin(("laser",), dots=plate))))
+    assert_true(found)
+    assert on(found) == {"bend of dots 9 x 9"}
+    (xx, xy, yy), u = optional(found, "bend of dots 9 x 9")
+    points = DOTS.points_board()[:, :2]
+    height = plate.heights(points)[0] - plate.heights(points.mean(axis=0, keepdims=True))[0]
+    assert [xx, xy, yy] == pytest.approx([height, 0.0, height], abs=4 * u.max())
+
+
+def test_sizes_of_the_artefact_within_their_tolerance(clean):
+    """Stated 20 and 30 um off, known to 50 um: the other sizes and the pitch of the targets tell."""
+    observations, sure = clean
+    stated = replace(STEPPED_CYLINDER, diameter_large=36.026, height_small=21.973, tolerance=0.05)
+    found = estimate(replace(observations, mounts=tuple(replace(m, artifact=stated) for m in observations.mounts)))
+    assert_true(found)
+    sizes = found.mounts[0].artifact
+    for name in ("diameter_small", "diameter_large", "height_small"):
+        assert getattr(sizes, name) == pytest.approx(getattr(STEPPED_CYLINDER, name), abs=0.012), name
+    assert found.mounts[1].artifact == sizes
+    scale = "scale of radii"
+    assert _u_of(found, scale) > _u_of(sure, scale)
+
+
+def _u_of(found, quantity):
+    return next(w.u for w in found.weak_directions if w.quantity == quantity)
+
+
+def test_noise_that_neighbours_share_is_in_the_uncertainty(parts):
+    """Errors of plane and axis over stated uncertainty, in several realisations; taken for independent, points would be worth twice too much."""
+    session = put_together(parts, FULL[:4])
+    z, lengths = [], []
+    for seed in range(8):
+        observations = observe(session, 20 + seed, correlated_px=0.1, correlation_px=12.0)
+        found = estimate(observations, optional_parameters=False, print_errors=False)
+        z.append([v for k, v in errors(found).items() if k.startswith(("plane", "axis"))])
+        lengths.append(next(g.correlation_length for g in found.groups if g.kind == "artifact"))
+    memory = np.exp(-3.0 / 12.0)
+    assert np.mean(lengths) == pytest.approx(1 + 0.8 * 2 * memory / (1 - memory), rel=0.25)
+    assert 0.65 < np.sqrt(np.mean(np.square(z))) < 1.4
+
+
+def test_a_frame_whose_table_stood_elsewhere_and_a_bad_view(clean):
+    observations, found = clean
+    first, second = observations.mounts
+    angles = first.angles_rad.copy()
+    angles[5] += np.radians(1.0)
+    views = list(observations.camera_views)
+    bad = views[3].detection
+    shift = 3.0 * np.sin(np.arange(len(bad.uv)))[:, None] * [1.0, -0.5]
+    views[3] = replace(views[3], detection=replace(bad, uv=bad.uv + shift))
+    other = estimate(
+        replace(observations, camera_views=tuple(views), mounts=(replace(first, angles_rad=angles), second))
+    )
+    z = errors(other)
+    assert max(np.abs(list(z.values()))) < 4.0, z
+    assert other.table is not None
+    worst = np.argmax(np.abs(other.table.frame_errors[:, 2]))
+    assert other.table.frame_names[worst] == first.frame_names[5]
+    assert other.table.frame_errors[worst, 2] == pytest.approx(-np.radians(1.0), rel=0.2)
+    grown = np.sqrt(np.diag(other.covariance.matrix)) / np.sqrt(np.diag(found.covariance.matrix))
+    assert np.median(grown) < 2.0
+
+
+_WAYS = {
+    "without an artefact": ("camera", "laser", "axis"),
+    "one mount": FULL[:4],
+    "a sphere": ("camera", "laser", "axis", "ball"),
+    "a cylinder of unknown height": ("camera", "laser", "axis", "rod"),
+    "several artefacts": ("camera", "laser", "axis", "m1", "rod", "ball"),
+}
+
+
+@pytest.mark.parametrize("names", _WAYS.values(), ids=_WAYS.keys())
+def test_ways_to_calibrate(parts, names):
+    found = estimate(observe(put_together(parts, names)))
+    assert_true(found)
+    assert [m.name for m in found.mounts] == [n for n in names if n in MOUNTS]
+    assert on(found) == set()
+
+
+def test_without_a_target_on_the_table(parts):
+    """Feature points of the stepped cylinder need denser stripes to begin with."""
+    dense = twin(("m1",), spacing_px=1.0, frames=12)
+    found = estimate(observe(put_together(parts, ("camera", "laser", "m1"), dense)))
+    assert_true(found)
+    assert not [g for g in found.groups if g.kind == "table-target"]
+
+
+def test_without_a_table(parts):
+    found = estimate(observe(put_together(parts, ("camera", "laser"))))
+    assert found.axis_camera is None
+    assert found.table is None
+    assert found.mounts == ()
+    assert [n for n in found.covariance.names if n.startswith("axis")] == []
+    truth = truth_of(RIG, SessionPlan({}, ()))
+    for name in ("fx", "fy", "cx", "cy"):
+        (quantity,) = [q for q in found.parameters if q.name == name]
+        assert abs(quantity.value - getattr(truth.camera, name)) < 4 * quantity.u

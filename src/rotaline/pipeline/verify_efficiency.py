@@ -175,10 +175,11 @@ def _bound_of_session(unit: NoiseUnit) -> Bound:
         raise CalibrationError(
             "The ideal session could not be calibrated: " + "; ".join(w.text for w in parts.warnings)
         )
-    return information_bound(observations, _start(parts, observations), parts.joint)
+    return information_bound(observations, joint_start(parts, observations), parts.joint)
 
 
-def _start(parts: CalibrationParts, observations: SessionObservations) -> JointStart:
+def joint_start(parts: CalibrationParts, observations: SessionObservations) -> JointStart:
+    """Where the joint estimate of calibrated observations started."""
     assert parts.camera is not None
     start, _ = start_joint_estimate(
         parts.camera, parts.laser_plane, parts.axis, observations.mounts, JOINT_OPTIONS, StageRunner()
@@ -198,7 +199,7 @@ def information_bound(observations: SessionObservations, start: JointStart, join
     setting = Setting(data, start.camera.parameter_names, state.artifacts, observations.image_size, variance)
     slots = [("camera", len(setting.camera_names)), ("plane", 3), ("axis", 4)]
     slots += [(f"board:{b}", 6) for b in range(data.n_boards)] + [(f"mount:{k}", 5) for k in range(len(state.mounts))]
-    layout = Layout((*slots, ("line", 1)))
+    layout = Layout((*slots, ("line", 1)) if variance > 0 else tuple(slots))
     found = iterate(setting, layout, replace(state, line_variance=variance), start_noise(data), band_mm=1.5)
     everywhere = replace(setting, data=_without_margins(data))
     frames = linearise(everywhere, found.state, found.noise, found.band_mm, None, {}, 1)

@@ -173,7 +173,7 @@ def test_the_bound_is_below_the_stated_uncertainty_and_near_it(small_twin):
     """Stated: what a robust estimate knows that has to learn the size of the noise and looks for errors that there are not."""
     observations = small_twin.observed(verify.TARGET_PX, verify.STRIPE_PX, 4).observations
     parts = verify.calibrate_observations(observations, verify.JOINT_OPTIONS)
-    bound = efficiency.information_bound(observations, efficiency._start(parts, observations), parts.joint)
+    bound = efficiency.information_bound(observations, efficiency.joint_start(parts, observations), parts.joint)
     stated = parts.joint.covariance
     place = [stated.names.index(n) for n in bound.names]
     ratio = np.linalg.solve(bound.matrix, stated.matrix[np.ix_(place, place)])

@@ -36,6 +36,7 @@ from rotaline.geometry.primitives import Artifact
 MAX_ITERATIONS = 30
 _CHUNK = 24
 """Frames of a mount whose rows are held at a time."""
+_MAX_VARIANCE_ROUNDS = 6
 _SETTLED = 0.02
 """Last step of all global parameters together, in their standard deviations."""
 _VAGUE = {"angle": 1.0, "run-out": 1e2, "wobble": 1.0, "curvature": 1.0, "pitch": 1.0, "bend": 1e2, "sizes": 1e2}
@@ -132,13 +133,18 @@ def iterate(
             noise = _learn(setting.data, noise, frames, with_correlation=thin == 1)
             frames = tuple(_weighted(f.rows, f.raw, f.cleaned, noise, f.mount) for f in frames)
         triangles = _press_all(setting, layout, state, noise, frames)
-        eliminated = eliminate(triangles, layout)
-        solution, effects, _ = solve_all(setting, layout, state, noise, frames, triangles, eliminated, prints)
+        steady = False
+        for _ in range(_MAX_VARIANCE_ROUNDS):
+            eliminated = eliminate(triangles, layout)
+            solution, effects, _ = solve_all(setting, layout, state, noise, frames, triangles, eliminated, prints)
+            last, noise = noise, _learn_variances(setting.data, noise, solution)
+            steady = bool(np.all(np.abs(np.log(np.maximum(noise.table, 1e-8) / np.maximum(last.table, 1e-8))) < 0.1))
+            if steady:
+                break
+            triangles = _with_priors(setting, noise, triangles)
         size = float(np.linalg.norm(solution.factor @ solution.step))
-        settled = bool(size < _SETTLED * np.sqrt(max(layout.size, 1)))
+        settled = size < _SETTLED * np.sqrt(max(layout.size, 1))
         state = _step(setting, layout, state, solution)
-        last, noise = noise, _learn_variances(setting.data, noise, solution)
-        steady = bool(np.all(np.abs(np.log(np.maximum(noise.table, 1e-8) / np.maximum(last.table, 1e-8))) < 0.05))
         if setting.data.mount_frames:
             band_mm = max(0.5 * band_mm, 15.0 * _spread_mm(frames))
         if (settled and steady) or (rough and n_iterations > 2 and size < 0.5 * np.sqrt(layout.size)):
@@ -264,6 +270,12 @@ def _press_all(
         prior = noise.local_prior(frame.rows.local.shape[1], on_table)
         triangles.append(press(frame.rows, weights, _motions(data, layout, state, k) if on_table else {}, prior))
     return tuple(triangles)
+
+
+def _with_priors(setting: Setting, noise: Noise, triangles: Sequence[Triangle]) -> tuple[Triangle, ...]:
+    """The same rows with other variances of the frames' own errors."""
+    first = len(setting.data.plates)
+    return tuple(replace(t, prior=noise.local_prior(t.local.shape[1], k >= first)) for k, t in enumerate(triangles))
 
 
 def row_weights(
