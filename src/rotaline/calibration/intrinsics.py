@@ -165,8 +165,7 @@ def calibrate_camera(
     used = [v for v in results if v.used]
     offsets = fit.offsets if isinstance(fit, OffsetFit) else np.zeros((0, 2))
     as_stated, found = targets_as_found([view.detection for view in views], fit.bend, offsets)
-    warnings += describe_bent_targets(found)
-    warnings += describe_offsets(found, results, fit.camera, sigma_px)
+    notes = describe_bent_targets(found) + describe_offsets(found, results, fit.camera, sigma_px)
     warnings += describe_weak_views(fit.camera, used)
     warnings += _describe_outliers(views, state, fit.camera)
     lengths = np.concatenate([np.linalg.norm(v.residuals_px, axis=1) for v in used])
@@ -181,6 +180,7 @@ def calibrate_camera(
         tuple(warnings),
         as_stated,
         found,
+        tuple(notes),
     )
 
 

@@ -47,7 +47,7 @@ class CameraCalibration:
 
     ``rms_px`` is sqrt(mean |residual|^2) over the points of the used views (the figure that OpenCV prints);
     ``mean_error_px`` is the mean length of a residual (the figure of the article). ``targets_as_stated[k]`` was found to be
-    ``targets[k]``: bent, where the views show it.
+    ``targets[k]``: bent, where the views show it. ``notes`` tell what was found about the targets and is taken into account.
     """
 
     camera: CameraModel
@@ -59,6 +59,7 @@ class CameraCalibration:
     warnings: tuple[str, ...]
     targets_as_stated: tuple[Target, ...] = ()
     targets: tuple[Target, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def with_target_as_found(self, detection: TargetDetection) -> TargetDetection:
         """The detection, on its target as the camera calibration found it."""

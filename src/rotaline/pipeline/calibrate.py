@@ -127,6 +127,8 @@ def _camera(
     if result is not None:
         used = sum(v.used for v in result.views)
         runner.note(f"{result.rms_px:.3f} px RMS over {used} of {len(result.views)} views")
+        for text in result.notes:
+            runner.note(text)
         _pass_on("camera", result.warnings, runner)
     return replace(parts, observations=replace(parts.observations, camera_views=views), camera=result)
 

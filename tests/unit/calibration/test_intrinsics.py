@@ -190,7 +190,7 @@ def test_a_bent_target_is_found_out() -> None:
     views = bent_views(lambda x, y, _: 0.0006 * (x * x - 300) + 0.0003 * x * y)
     result = calibrate_camera(views, CAMERA.image_size)
     flat = calibrate_camera(views, CAMERA.image_size, CameraOptions(board="flat"))
-    assert any("not flat: its points lie up to" in text for text in result.warnings)
+    assert any("not flat: its points lie up to" in text for text in result.notes)
     assert result.rms_px == pytest.approx(0.02 * np.sqrt(2), rel=0.05)
     assert flat.rms_px > 1.5 * result.rms_px
     for name, u in zip(result.parameter_names, result.u_parameters, strict=True):
@@ -231,14 +231,14 @@ def test_a_bad_print_gives_a_good_camera(n: int) -> None:
     views = printed_views(target, 0.02, n)
     result = calibrate_camera(views, CAMERA.image_size)
     stated = calibrate_camera(views, CAMERA.image_size, CameraOptions(board="flat"))
-    assert any("off their places by 0.0" in text for text in result.warnings)
+    assert any("off their places by 0.0" in text for text in result.notes)
     assert result.rms_px == pytest.approx(0.02 * np.sqrt(2), rel=0.25)
     assert error_of_rays_px(result.camera) < error_of_rays_px(stated.camera) / 3
     for name, u in zip(result.parameter_names, result.u_parameters, strict=True):
         assert abs(getattr(result.camera, name) - getattr(CAMERA, name)) < 4 * u
     assert np.shape(result.with_target_as_found(views[0].detection).target.offsets) == (70, 2)
     assert stated.targets == ()
-    assert not any("off their places" in text for text in stated.warnings)
+    assert not any("off their places" in text for text in stated.notes)
 
 
 def test_a_bend_is_not_taken_for_offsets() -> None:

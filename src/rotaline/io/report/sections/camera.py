@@ -6,7 +6,7 @@ from rotaline.calibration.model import CameraCalibration
 from rotaline.io.report import numbers
 from rotaline.io.report.contents import ReportContents, StageWarning
 from rotaline.io.report.figures import camera as figures
-from rotaline.io.report.page import Block, Column, Gallery, Level, Row, Section, Table, picture
+from rotaline.io.report.page import Block, Column, Gallery, Level, Paragraph, Row, Section, Table, picture
 from rotaline.io.report.sections.overlays import overlay_blocks
 from rotaline.io.report.warnings import warnings_of
 
@@ -39,6 +39,7 @@ def section(contents: ReportContents, warnings: tuple[StageWarning, ...]) -> Sec
         )
     judgement, level = _judge(calibration)
     blocks: list[Block] = [
+        *(Paragraph(text) for text in calibration.notes),
         _parameters(calibration),
         Gallery(
             (
