@@ -15,6 +15,7 @@ from rotaline.calibration.joint.model import JointStart
 from rotaline.calibration.laser_plane import calibrate_laser_plane
 from rotaline.calibration.mount_start import start_from_artifact, start_mounts
 from rotaline.calibration.rotation_axis import AxisOptions, calibrate_axis
+from rotaline.geometry.fitting import across
 from rotaline.geometry.primitives import KnownCylinder, KnownSphere
 from rotaline.pipeline.calibrate_joint import joint_system
 from rotaline.pipeline.twin import trace_twin
@@ -102,9 +103,7 @@ def start_of(observations):
     axis = None
     line, sense, mounts = None, 1, ()
     if observations.table_views:
-        axis = calibrate_axis(
-            camera.camera, [found(v) for v in observations.table_views], AxisOptions(method="joint")
-        )
+        axis = calibrate_axis(camera.camera, [found(v) for v in observations.table_views], AxisOptions(method="joint"))
         line, sense = axis.axis_camera, axis.turn_sense
     elif observations.mounts:
         line, sense = start_from_artifact(camera.camera, plane.plane_camera, observations.mounts, 1)
@@ -228,8 +227,9 @@ def test_outliers_hardly_matter(parts, clean):
     """3 % of the stripe points elsewhere, by as much as the stripe is off its neighbours."""
     found = estimate(observe(put_together(parts), outlier_fraction=0.03, outlier_px=5.0))
     assert_same(clean[1], found, share=0.5)
-    artifact = [g for g in found.groups if g.kind == "artifact"]
-    assert all(0.02 < 1 - g.n_used / g.n_points < 0.04 for g in artifact)
+    for with_outliers, without in zip(found.groups, clean[1].groups, strict=True):
+        if with_outliers.kind == "artifact":
+            assert 0.96 < with_outliers.n_used / without.n_used < 0.985
 
 
 def test_eccentricity_of_the_angle(parts):
@@ -255,6 +255,19 @@ def test_run_out(parts):
     direction = np.radians(-30.0) - np.arctan2(camera[1], camera[0])
     values, u = optional(found, "run-out once per turn")
     assert (np.abs(values - 0.01 * np.array([np.cos(direction), np.sin(direction)])) < 4 * u).all()
+    assert (u < 0.003).all()
+
+
+def test_errors_of_the_table_from_frame_to_frame(parts):
+    """Their standard deviations, and they are no errors once per turn."""
+    rig = replace(RIG, mechanics=Mechanics(angle_noise_deg=0.02, run_out_noise_um=5.0))
+    found = estimate(observe(put_together(parts, other=twin(("axis", "m1", "m2"), rig))), print_errors=False)
+    assert_true(found)
+    assert on(found) == set()
+    for k, true in enumerate((np.radians(0.02), 0.005)):
+        assert abs(found.table.sigma[k] - true) < 4 * found.table.u_sigma[k]
+        assert found.table.sigma[k] > 3 * found.table.u_sigma[k]
+    assert (found.table.sigma[2:] < [2e-3, 1e-4]).all()  # it neither lifts nor wobbles
 
 
 def test_a_bowed_sheet(parts):
@@ -263,14 +276,18 @@ def test_a_bowed_sheet(parts):
     found = estimate(observe(put_together(parts, other=twin(("laser", "m1", "m2"), rig))))
     assert on(found) == {"sheet curvature"}
     assert found.laser_curvature is not None
-    (a, b, c), u = found.laser_curvature.coefficients, optional(found, "sheet curvature")[1]
-    across, along = np.linalg.eigvalsh(np.array([[a, b], [b, c]]))[[0, 1]][np.argsort(np.abs([0.0, 1.0]))]
-    sag = max((across, along), key=abs)
     laser = RIG.laser
-    waist = 2 * 0.15 / (laser.waist_mm**2 * np.radians(laser.fan_deg / 2) ** 2)
-    side = np.sign(found.laser_plane_camera.normal @ RIG.camera_from_base.rotation.apply(laser.plane_base.normal))
-    assert sag * -side == pytest.approx(waist, abs=4 * u.max())
-    assert abs(sag) > 4 * u.max()
+    normal, beam = (RIG.camera_from_base.rotation.apply(v) for v in (laser.plane_base.normal, laser.beam_base))
+    side = np.sign(normal @ found.laser_plane_camera.normal)
+    p, q = np.stack(across(found.laser_plane_camera.normal)) @ np.cross(normal, beam)
+    row = np.array([p * p, 2 * p * q, q * q])  # curvature along the fan
+    sag = -side * float(
+        row @ found.laser_curvature.coefficients
+    )  # the function that is 0 on the sheet falls where the sheet rises
+    first = found.covariance.names.index("curvature_uu")
+    u = float(np.sqrt(row @ found.covariance.matrix[first : first + 3, first : first + 3] @ row))
+    assert abs(sag - 2 * 0.15 / (laser.waist_mm * np.radians(laser.fan_deg / 2)) ** 2) < 4 * u
+    assert sag > 6 * u
     z = errors(found)
     assert max(abs(v) for k, v in z.items() if not k.startswith("plane")) < 4.0  # the plane touches the sheet elsewhere
 
@@ -319,7 +336,7 @@ def test_noise_that_neighbours_share_is_in_the_uncertainty(parts):
     """Errors of plane and axis over stated uncertainty, in several realisations; taken for independent, points would be worth twice too much."""
     session = put_together(parts, FULL[:4])
     z, lengths = [], []
-    for seed in range(8):
+    for seed in range(6):
         observations = observe(session, 20 + seed, correlated_px=0.1, correlation_px=12.0)
         found = estimate(observations, optional_parameters=False, print_errors=False)
         z.append([v for k, v in errors(found).items() if k.startswith(("plane", "axis"))])
@@ -333,7 +350,7 @@ def test_a_frame_whose_table_stood_elsewhere_and_a_bad_view(clean):
     observations, found = clean
     first, second = observations.mounts
     angles = first.angles_rad.copy()
-    angles[5] += np.radians(1.0)
+    angles[5] += np.radians(3.0)
     views = list(observations.camera_views)
     bad = views[3].detection
     shift = 3.0 * np.sin(np.arange(len(bad.uv)))[:, None] * [1.0, -0.5]
@@ -344,9 +361,10 @@ def test_a_frame_whose_table_stood_elsewhere_and_a_bad_view(clean):
     z = errors(other)
     assert max(np.abs(list(z.values()))) < 4.0, z
     assert other.table is not None
-    worst = np.argmax(np.abs(other.table.frame_errors[:, 2]))
-    assert other.table.frame_names[worst] == first.frame_names[5]
-    assert other.table.frame_errors[worst, 2] == pytest.approx(-np.radians(1.0), rel=0.2)
+    weight = other.mounts[0].weight
+    of_frame = [float(weight[other.mounts[0].frame == k].mean()) for k in range(len(angles))]
+    assert np.argmin(of_frame) == 5
+    assert of_frame[5] < 0.5
     grown = np.sqrt(np.diag(other.covariance.matrix)) / np.sqrt(np.diag(found.covariance.matrix))
     assert np.median(grown) < 2.0
 
@@ -356,7 +374,6 @@ _WAYS = {
     "one mount": FULL[:4],
     "a sphere": ("camera", "laser", "axis", "ball"),
     "a cylinder of unknown height": ("camera", "laser", "axis", "rod"),
-    "several artefacts": ("camera", "laser", "axis", "m1", "rod", "ball"),
 }
 
 
@@ -386,3 +403,20 @@ def test_without_a_table(parts):
     for name in ("fx", "fy", "cx", "cy"):
         (quantity,) = [q for q in found.parameters if q.name == name]
         assert abs(quantity.value - getattr(truth.camera, name)) < 4 * quantity.u
+
+
+def test_a_centred_mount_alone_leaves_the_axis_open(parts):
+    """Without a target on the table: a rod that turns about itself looks the same at all angles, wherever the sheet passes the axis."""
+    observations = observe(put_together(parts, ("camera", "laser", "axis", "centred", "m2")))
+    start = replace(start_of(observations), axis=None)
+    first = replace(observations, mounts=observations.mounts[:1])
+    alone = estimate_jointly(first, replace(start, mounts=start.mounts[:1]))
+    both = estimate_jointly(observations, start)
+    quantity = "axis position across the laser plane"
+    (weak,) = [w for w in alone.weak_directions if w.quantity == quantity]
+    assert "too well centred (at most 0.1 mm off)" in weak.text
+    assert f"uncertain by {weak.u * 1e3:.2g} um" in weak.text
+    (known,) = [w for w in both.weak_directions if w.quantity == quantity]
+    print(weak, known, errors(alone), errors(both))
+    assert weak.u > 5 * known.u
+    assert_true(both)

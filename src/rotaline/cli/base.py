@@ -45,8 +45,8 @@ Method = Annotated[
     Literal["joint", "article"] | None,
     typer.Option(
         "--method",
-        help="How to calibrate: joint, one estimate from all observations; article, one refinement after the other, with the options "
-        "of the article as defaults.",
+        help="How to calibrate: joint (default), one estimate from all observations; article, one refinement after the other, with "
+        "the options of the article as defaults.",
         show_default=False,
     ),
 ]

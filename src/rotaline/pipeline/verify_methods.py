@@ -123,15 +123,14 @@ def verify_methods(n_sessions: int, rendered: Sequence[Path], plan: WorkPlan) ->
     if rendered and plan.folder is None:
         raise SessionError("rendered sessions need a folder for their results. Name one with --out DIR.")
     units = {}
-    for method in METHODS:
-        for folder in rendered:
-            read_truth(truth_path(folder.resolve()))
-            results = str((plan.folder or Path()).resolve() / f"{folder.resolve().name}-{method}")
-            units[f"{folder.resolve().name}-{method}"] = MethodUnit(
-                method, rendered=str(folder.resolve()), results=results
-            )
-        if not rendered:
-            units |= {f"{k:03d}-{method}": MethodUnit(method, session=k) for k in range(n_sessions)}
+    for folder in (path.resolve() for path in rendered):
+        read_truth(truth_path(folder))
+        for method in METHODS:
+            name = f"{folder.name}-{method}"
+            results = (plan.folder or Path()).resolve() / name
+            units[name] = MethodUnit(method, rendered=str(folder), results=str(results))
+    if not rendered:
+        units = {f"{k:03d}-{method}": MethodUnit(method, session=k) for k in range(n_sessions) for method in METHODS}
     found = plan.do("methods", method_errors, units)
     return compare_methods(found, rendered=bool(rendered))
 

@@ -14,6 +14,7 @@ References
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,7 +25,7 @@ from rotaline.calibration.joint.iterate import Iterated, Setting, iterate, prior
 from rotaline.calibration.joint.line_width import line_and_blur
 from rotaline.calibration.joint.model import JointCalibration, JointStart, OptionalParameters
 from rotaline.calibration.joint.noise import Noise
-from rotaline.calibration.joint.optional import CHANCE, Assessment, assess, candidates, described
+from rotaline.calibration.joint.optional import CHANCE, Assessment, assess, candidates, described, likely_size
 from rotaline.calibration.joint.print_errors import PrintView, learn_print_errors, print_model, print_views
 from rotaline.calibration.joint.result import slot_values, to_result
 from rotaline.calibration.joint.state import Layout, State, n_mount_parameters
@@ -94,33 +95,58 @@ def estimate_jointly(
         noise, prints = _print_errors(setting, found)
     found = iterate(setting, layout, state, noise, found.band_mm, found.effects, prints)
     n_iterations += found.n_iterations
-    off: tuple[OptionalParameters, ...] = ()
+    optional: tuple[OptionalParameters, ...] = ()
+    if options.optional_parameters:
+        setting, found, optional, more = _with_optional(setting, found)
+        n_iterations += more
+    result = to_result(setting, found, start, optional, n_iterations)
+    return replace(result, seconds=time.perf_counter() - began)
+
+
+def _with_optional(setting: Setting, found: Iterated) -> tuple[Setting, Iterated, tuple[OptionalParameters, ...], int]:
+    """Groups of parameters switched on one after another, the clearest first; then errors of the table too small to be sure of.
+
+    Returns
+    -------
+    setting, found : with the groups that are on
+    optional : all groups, on and off
+    n_iterations : that it took
+    """
+    groups = setting.data.artifact_groups
+    possible = [c for c in candidates(setting.data, setting) if c.slot not in found.layout]
     chosen: dict[str, Assessment] = {}
-    possible = [c for c in candidates(data, setting) if c.slot not in layout] if options.optional_parameters else []
-    for _ in range(_MAX_ROUNDS):
+    n_iterations = 0
+    while True:
         assessed = assess(setting, found, [c for c in possible if c.slot not in found.layout])
-        best = _best(assessed)
-        off = tuple(
-            described(
-                a, False, slot_values(found.state, a.candidate.slot, data.artifact_groups) + a.step, a.u, _why_not(a)
-            )
-            for a in assessed
-            if a is not best
-        )
+        best = _best(assessed) if len(chosen) < _MAX_ROUNDS else None
         if best is None:
             break
         chosen[best.candidate.slot] = best
-        wider = found.layout.with_slot(best.candidate.slot, len(best.candidate.keys))
-        found = iterate(setting, wider, found.state, found.noise, found.band_mm, found.effects, found.prints)
+        found = _wider(setting, found, [best])
+        n_iterations += found.n_iterations
+    small = {a.candidate.slot: s for a in assessed if a.candidate.of_table and (s := likely_size(a)) > 0}
+    off = [
+        described(a, False, slot_values(found.state, a.candidate.slot, groups) + a.step, a.u, _why_not(a, small))
+        for a in assessed
+    ]
+    if small:
+        setting = replace(setting, small_errors=small)
+        found = _wider(setting, found, [a for a in assessed if a.candidate.slot in small])
         n_iterations += found.n_iterations
     on = []
     for slot, a in chosen.items():
-        place = found.layout.of(slot)
-        u = np.sqrt(np.diag(found.solution.covariance)[place])
+        u = np.sqrt(np.diag(found.solution.covariance)[found.layout.of(slot)])
         reason = f"the sum of squares falls by {a.improvement:.0f} with {len(u)} parameters"
-        on.append(described(a, True, slot_values(found.state, a.candidate.slot, data.artifact_groups), u, reason))
-    result = to_result(setting, found, start, (*on, *off), n_iterations)
-    return replace(result, seconds=time.perf_counter() - began)
+        on.append(described(a, True, slot_values(found.state, slot, groups), u, reason))
+    return setting, found, (*on, *off), n_iterations
+
+
+def _wider(setting: Setting, found: Iterated, groups: Sequence[Assessment]) -> Iterated:
+    """The estimate with more groups of parameters."""
+    layout = found.layout
+    for a in groups:
+        layout = layout.with_slot(a.candidate.slot, len(a.candidate.keys))
+    return iterate(setting, layout, found.state, found.noise, found.band_mm, found.effects, found.prints)
 
 
 def _base_layout(setting: Setting, state: State) -> Layout:
@@ -206,9 +232,12 @@ def _best(assessed: tuple[Assessment, ...]) -> Assessment | None:
     return min(allowed, key=lambda a: (a.chance, -a.improvement)) if allowed else None
 
 
-def _why_not(a: Assessment) -> str:
+def _why_not(a: Assessment, small: dict[str, float]) -> str:
     if not np.isfinite(a.u).all():
         return "the data do not show it"
     if a.candidate.never:
         return a.candidate.never
-    return f"the sum of squares would fall by {a.improvement:.1f} only: as much as chance does"
+    text = f"the sum of squares would fall by {a.improvement:.1f} only: as much as chance does"
+    if a.candidate.slot in small:
+        text += "; what there may be of it is allowed for in the uncertainties"
+    return text

@@ -84,7 +84,8 @@ def _plate_without(found: Iterated, k: int, step: Float[np.ndarray, " p"]) -> tu
     rows = frame.rows
     assert rows.place is not None
     n = 2 * len(rows.place)
-    errors_of_points = frame.cleaned - frame.raw
+    # what the plate is off its points was found with the stripe, and may hide how far the stripe is off
+    errors_of_points = np.where(np.arange(len(frame.raw)) < n, frame.cleaned - frame.raw, 0.0)
     shifted = frame.raw + errors_of_points + _globals(found, k) @ step
     kept = frame.weight > KEPT
     points = kept & (np.arange(len(shifted)) < n)

@@ -1,7 +1,7 @@
 """The iteration of the joint estimate: residuals, robust weights, one linear problem, a step; and the noise learnt on the way."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -28,7 +28,7 @@ from rotaline.calibration.joint.print_errors import (
 )
 from rotaline.calibration.joint.rows import MountPoints, Rows, mount_rows, plate_pivot, plate_rows, table_rows
 from rotaline.calibration.joint.solve import Eliminated, Solution, Triangle, eliminate, press, solve
-from rotaline.calibration.joint.state import Layout, State, table_motions
+from rotaline.calibration.joint.state import Layout, State, once_per_turn, table_motions
 from rotaline.calibration.joint.surfaces import sizes_of
 from rotaline.calibration.lens_prior import lens_prior
 from rotaline.geometry.primitives import Artifact
@@ -46,13 +46,18 @@ _STEP_LIMITS = {"plane": (0.1, 0.1, 20.0), "axis": (0.1, 0.1, 5.0, 5.0)}
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What stays the same during the iteration; ``artifacts`` of each mount, as stated; ``line_variance`` (mm^2) from the widths of the stripes."""
+    """What stays the same during the iteration.
+
+    ``artifacts`` of each mount, as stated; ``line_variance`` (mm^2) from the widths of the stripes; ``small_errors``: standard deviations of groups
+    of parameters that are random effects.
+    """
 
     data: JointData
     camera_names: tuple[str, ...]
     artifacts: tuple[Artifact, ...]
     image_size: tuple[int, int]
     line_variance: float = 0.0
+    small_errors: Mapping[str, float] = field(default_factory=dict)
 
     def artifact_of(self, group: int) -> Artifact:
         """The artefact whose sizes have this number."""
@@ -143,7 +148,7 @@ def iterate(
                 break
             triangles = _with_priors(setting, noise, triangles)
         size = float(np.linalg.norm(solution.factor @ solution.step))
-        settled = size < _SETTLED * np.sqrt(max(layout.size, 1))
+        settled = bool(size < _SETTLED * np.sqrt(max(layout.size, 1)))
         state = _step(setting, layout, state, solution)
         if setting.data.mount_frames:
             band_mm = max(0.5 * band_mm, 15.0 * _spread_mm(frames))
@@ -341,6 +346,8 @@ def prior_rows(setting: Setting, layout: Layout, state: State) -> Float[np.ndarr
         elif kind == "line":
             sigma = SHARE_UNKNOWN * setting.line_variance
             off = np.array([state.line_variance - setting.line_variance])
+        elif kind in setting.small_errors:
+            sigma, off = setting.small_errors[kind], once_per_turn(state, kind)
         elif kind in _VAGUE:
             sigma, off = _VAGUE[kind], np.zeros(n)
         else:

@@ -36,6 +36,11 @@ class Candidate:
     units: tuple[str, ...]
     never: str = ""
 
+    @property
+    def of_table(self) -> bool:
+        """An error of the turntable once per turn."""
+        return self.slot in ("angle", "run-out", "wobble")
+
 
 def candidates(data: JointData, setting: Setting) -> tuple[Candidate, ...]:
     """All groups that the session could carry."""
@@ -131,6 +136,17 @@ def _assess(
     step = np.linalg.solve(block, rhs)
     u = np.sqrt(np.diag(covariance_from_factor(block, 1.0)))
     return Assessment(candidate, improvement, float(stats.chi2.sf(improvement, k)), step, u)
+
+
+def likely_size(assessment: Assessment) -> float:
+    """Standard deviation of parameters that are too small to be sure of: what their values scatter beyond their uncertainties.
+
+    Errors that all frames share do not average out, so those that may be there have to stand in the covariance even where none is clear to
+    see. They are then random effects, with this size.
+    """
+    if not np.isfinite(assessment.u).all():
+        return 0.0
+    return float(np.sqrt(max(np.mean(assessment.step**2 - assessment.u**2), 0.0)))
 
 
 def described(

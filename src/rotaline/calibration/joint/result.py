@@ -21,7 +21,7 @@ from rotaline.calibration.joint.model import (
 )
 from rotaline.calibration.joint.noise import KEPT, TABLE_CLASSES, TABLE_ERRORS, determined
 from rotaline.calibration.joint.observability import weak_directions
-from rotaline.calibration.joint.state import POSE_MOTIONS, State
+from rotaline.calibration.joint.state import POSE_MOTIONS, State, once_per_turn
 from rotaline.calibration.joint.surfaces import mid_height, sizes_of, surface_names
 from rotaline.calibration.model import SystemCovariance
 from rotaline.geometry.primitives import KnownSphere, Line, SheetCurvature
@@ -39,12 +39,8 @@ _SLOT_NAMES = {
 def slot_values(state: State, slot: str, artifact_groups: Sequence[int]) -> Float[np.ndarray, " k"]:
     """The present values of a group of parameters that have values of their own."""
     kind, _, number = slot.partition(":")
-    if kind == "angle":
-        return np.array([state.angle_error.cos_rad, state.angle_error.sin_rad])
-    if kind == "run-out":
-        return state.run_out
-    if kind == "wobble":
-        return state.wobble
+    if kind in ("angle", "run-out", "wobble"):
+        return once_per_turn(state, kind)
     if kind == "curvature":
         return state.curvature
     if kind == "pitch":

@@ -255,3 +255,10 @@ def table_motions(
     size = layout.of(pose_slot).stop - layout.of(pose_slot).start
     motions[pose_slot] = pose[:, list(POSE_MOTIONS[size])]
     return motions
+
+
+def once_per_turn(state: State, slot: str) -> Float[np.ndarray, "2"]:
+    """The present values of an error of the table once per turn: "angle", "run-out" or "wobble"."""
+    if slot == "angle":
+        return np.array([state.angle_error.cos_rad, state.angle_error.sin_rad])
+    return state.run_out if slot == "run-out" else state.wobble

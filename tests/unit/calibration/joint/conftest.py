@@ -19,8 +19,15 @@ from rotaline.calibration.rotation_axis import AxisOptions, calibrate_axis
 from rotaline.geometry.primitives import KnownCylinder, KnownSphere
 from rotaline.pipeline.twin import trace_twin
 from rotaline.simulation.parts.shapes import Ball, Rod, SteppedRod
-from rotaline.simulation.plan import axis_capture, camera_capture, full_turn, laser_capture, mount, scan_capture
-from rotaline.simulation.plan import SessionPlan
+from rotaline.simulation.plan import (
+    SessionPlan,
+    axis_capture,
+    camera_capture,
+    full_turn,
+    laser_capture,
+    mount,
+    scan_capture,
+)
 from rotaline.simulation.rig import build_rig
 from rotaline.simulation.small_session import CHECKERBOARD, DOTS, STEPPED_CYLINDER
 

@@ -36,7 +36,9 @@ def problem(right_handed):
     frames = [*(f.points for f in case.data.plates), *(f.points for f in case.data.tables)]
     for k, found_frame in enumerate(found.frames):
         r = found_frame.rows
-        residuals = rng.standard_normal(len(r.residuals)) * np.where(weights[k] > 0, 1 / np.maximum(weights[k], 1e-9), 0)
+        residuals = rng.standard_normal(len(r.residuals)) * np.where(
+            weights[k] > 0, 1 / np.maximum(weights[k], 1e-9), 0
+        )
         if k < len(frames) and frames[k].target == target:
             turn = np.eye(2) if k < len(case.data.plates) else -np.eye(2)
             numbers = frames[k].numbers if turn[0, 0] > 0 else n_points[target] - 1 - frames[k].numbers
@@ -52,9 +54,7 @@ def problem(right_handed):
 def _model(problem):
     case, layout, rows, weights, triangles, prior, views, _, _ = problem
     eliminated = eliminate(triangles, layout)
-    return eliminated, print_model(
-        eliminated, triangles, layout, prior, rows, weights, views, case.data.targets
-    )
+    return eliminated, print_model(eliminated, triangles, layout, prior, rows, weights, views, case.data.targets)
 
 
 def _dense(problem):

@@ -166,9 +166,7 @@ def _moved_base(state, motion):
     """The table turned and shifted in its own frame."""
     base = state.camera_from_base
     turn = Rotation.from_rotvec(motion[:3]).as_matrix()
-    return replace(
-        state, camera_from_base=Rigid(base.rotation @ turn, base.rotation @ motion[3:] + base.translation)
-    )
+    return replace(state, camera_from_base=Rigid(base.rotation @ turn, base.rotation @ motion[3:] + base.translation))
 
 
 def test_rows_of_targets_on_the_table(situation):

@@ -141,6 +141,7 @@ def test_sizes_go_in_and_out(artifact):
     grown = with_sizes(artifact, sizes + np.arange(1, len(sizes) + 1))
     assert sizes_of(grown) - sizes == pytest.approx(np.arange(1, len(sizes) + 1))
     assert replace(artifact, tolerance=0.1) == with_sizes(replace(artifact, tolerance=0.1), sizes)
-    assert mid_height(artifact) == {"stepped": 23.5, "rod": 20.0, "endless": 15.0, "ball": 0.0}[
-        IDS[ARTIFACTS.index(artifact)]
-    ]
+    assert (
+        mid_height(artifact)
+        == {"stepped": 23.5, "rod": 20.0, "endless": 15.0, "ball": 0.0}[IDS[ARTIFACTS.index(artifact)]]
+    )
