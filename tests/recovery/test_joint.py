@@ -53,7 +53,7 @@ MOUNTS = {
 FULL = ("camera", "laser", "axis", "m1", "m2")
 
 
-def capture(rig, name, board=CHECKERBOARD, dots=DOTS, poses=6, frames=18):
+def capture(rig, name, board=CHECKERBOARD, dots=DOTS, poses=6, frames=12):
     """The plan of one capture."""
     if name == "camera":
         return camera_capture(rig, board, "checkerboard", 10, 1)
@@ -365,13 +365,14 @@ def test_a_frame_whose_table_stood_elsewhere_and_a_bad_view(clean):
     of_frame = [float(weight[other.mounts[0].frame == k].mean()) for k in range(len(angles))]
     assert np.argmin(of_frame) == 5
     assert of_frame[5] < 0.5
-    grown = np.sqrt(np.diag(other.covariance.matrix)) / np.sqrt(np.diag(found.covariance.matrix))
-    assert np.median(grown) < 2.0
+    before, after = (
+        dict(zip(c.names, np.sqrt(np.diag(c.matrix)), strict=True)) for c in (found.covariance, other.covariance)
+    )
+    assert np.median([after[name] / before[name] for name in before]) < 2.0
 
 
 _WAYS = {
     "without an artefact": ("camera", "laser", "axis"),
-    "one mount": FULL[:4],
     "a sphere": ("camera", "laser", "axis", "ball"),
     "a cylinder of unknown height": ("camera", "laser", "axis", "rod"),
 }
@@ -417,6 +418,5 @@ def test_a_centred_mount_alone_leaves_the_axis_open(parts):
     assert "too well centred (at most 0.1 mm off)" in weak.text
     assert f"uncertain by {weak.u * 1e3:.2g} um" in weak.text
     (known,) = [w for w in both.weak_directions if w.quantity == quantity]
-    print(weak, known, errors(alone), errors(both))
     assert weak.u > 5 * known.u
     assert_true(both)

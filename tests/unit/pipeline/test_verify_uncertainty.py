@@ -153,7 +153,7 @@ def test_sessions_differ_in_table_and_plates_and_have_a_thin_line():
 
 @pytest.fixture(scope="module")
 def small_twin():
-    return trace_twin(RIG, PLAN, spacing_px=8.0)
+    return trace_twin(RIG, PLAN, spacing_px=4.0)
 
 
 def test_a_realisation_has_all_errors_within_their_uncertainty(small_twin, monkeypatch):

@@ -39,7 +39,7 @@ _CHUNK = 24
 _MAX_VARIANCE_ROUNDS = 6
 _SETTLED = 0.02
 """Last step of all global parameters together, in their standard deviations."""
-_VAGUE = {"angle": 1.0, "run-out": 1e2, "wobble": 1.0, "curvature": 1.0, "pitch": 1.0, "bend": 1e2, "sizes": 1e2}
+VAGUE = {"angle": 1.0, "run-out": 1e2, "wobble": 1.0, "curvature": 1.0, "pitch": 1.0, "bend": 1e2, "sizes": 1e2}
 """Standard uncertainties (rad, mm, rad, 1/mm, 1, mm, mm) beforehand that say nothing, but keep the problem solvable where the data say nothing either."""
 _STEP_LIMITS = {"plane": (0.1, 0.1, 20.0), "axis": (0.1, 0.1, 5.0, 5.0)}
 
@@ -348,8 +348,8 @@ def prior_rows(setting: Setting, layout: Layout, state: State) -> Float[np.ndarr
             off = np.array([state.line_variance - setting.line_variance])
         elif kind in setting.small_errors:
             sigma, off = setting.small_errors[kind], once_per_turn(state, kind)
-        elif kind in _VAGUE:
-            sigma, off = _VAGUE[kind], np.zeros(n)
+        elif kind in VAGUE:
+            sigma, off = VAGUE[kind], np.zeros(n)
         else:
             continue
         block = np.zeros((n, layout.size + 1))

@@ -45,7 +45,7 @@ class ResidualGroup:
     """Residuals that share a scale: the target points or the stripes of one capture.
 
     ``sigma_px`` is the robust standard deviation of one residual; ``correlation_length`` how many neighbours along a stripe count as one
-    (1 for target points); ``predicted_px`` the root mean square of the uncertainty that the detector stated; ``rms_mm`` that of the distances of
+    (1 for target points); ``predicted_px`` the median of the uncertainty that the detector stated; ``rms_mm`` that of the distances of
     stripe points from where they should lie (NaN for target points). Errors of the frame itself, and of single points of targets, are taken off the residuals,
     except on artefacts: a scan has them too.
     """
@@ -150,7 +150,7 @@ class OptionalParameters:
 class WeakDirection:
     """A direction of the parameter space that the data leave open, in words.
 
-    ``quantity``: for example "axis position across the laser plane"; ``u`` its standard uncertainty in ``unit``; ``text`` says what it is and why,
+    ``quantity``: for example "axis position across the laser plane"; ``u`` its standard uncertainty in ``unit`` ("mm", "rad" or "relative"); ``text`` says what it is and why,
     ``action`` what to do about it. ``share`` is the part that it contributes to the uncertainty of a measured point near the axis, 0 ... 1.
     """
 
@@ -198,7 +198,10 @@ class JointCalibration:
 
 @dataclass(frozen=True)
 class EstimatedQuantity:
-    """A calibrated quantity with its standard uncertainty (k = 1); ``frame`` says where it holds: "image", "camera", "base", "table"."""
+    """A calibrated quantity with its standard uncertainty (k = 1); ``frame`` says where it holds: "image", "camera", "base", "table".
+
+    ``value`` is NaN for directions and places, which are no single number: they stand in ``laser_plane_camera`` and ``axis_camera``.
+    """
 
     name: str
     value: float

@@ -160,15 +160,15 @@ def _quantities(
         ("axis position across the laser plane", gap, "mm"),
         ("lean of the axis against the laser plane", lean, "rad"),
         ("radii, all alike", by_radius[0], "mm"),
-        ("scale of radii", by_radius[1], "1"),
+        ("scale of radii", by_radius[1], "relative"),
         ("radii against height", by_radius[2], "rad"),
-        ("scale of heights", by_height[1], "1"),
+        ("scale of heights", by_height[1], "relative"),
     ]
 
 
 def _words(found: JointCalibration, quantity: str, u: float, unit_name: str) -> tuple[str, str]:
     """What it means and what to do about it."""
-    size = {"mm": f"{u * 1e3:.2g} um", "rad": f"{u * 1e6:.2g} urad", "1": f"{u * 1e6:.2g} ppm"}[unit_name]
+    size = {"mm": f"{u * 1e3:.2g} um", "rad": f"{u * 1e6:.2g} urad", "relative": f"{u * 1e6:.2g} ppm"}[unit_name]
     cylinders = [m for m in found.mounts if not isinstance(m.artifact, KnownSphere)]
     if quantity.startswith(("axis position", "lean")):
         subject = (

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from rotaline.calibration.joint.data import JointData
-from rotaline.calibration.joint.iterate import Iterated, Setting, prior_rows, row_weights
+from rotaline.calibration.joint.iterate import VAGUE, Iterated, Setting, prior_rows, row_weights
 from rotaline.calibration.joint.model import OptionalParameters
 from rotaline.calibration.joint.print_errors import information_with_print_errors, print_model
 from rotaline.calibration.joint.solve import eliminate, global_factor, solve_factor
@@ -152,14 +152,20 @@ def likely_size(assessment: Assessment) -> float:
 def described(
     assessment: Assessment, on: bool, values: Float[np.ndarray, " k"], u: Float[np.ndarray, " k"], reason: str
 ) -> OptionalParameters:
-    """For the result."""
+    """For the result; values that the data do not show at all are left out."""
     c = assessment.candidate
+    known = u < 0.5 * VAGUE[c.slot.partition(":")[0]]
+    shown = [
+        (k, v, s, unit)
+        for k, v, s, unit, ok in zip(c.keys, values.tolist(), u.tolist(), c.units, known, strict=True)
+        if ok
+    ]
     return OptionalParameters(
         c.name,
         on,
         reason,
         assessment.improvement,
-        dict(zip(c.keys, values.tolist(), strict=True)),
-        dict(zip(c.keys, u.tolist(), strict=True)),
-        dict(zip(c.keys, c.units, strict=True)),
+        {key: value for key, value, _, _ in shown},
+        {key: size for key, _, size, _ in shown},
+        {key: unit for key, _, _, unit in shown},
     )

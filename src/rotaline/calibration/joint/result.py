@@ -136,7 +136,7 @@ def _quantities(state: State, axis: Line | None, covariance: SystemCovariance) -
             out.append(EstimatedQuantity(name, float(getattr(state.camera, name)), u[name], unit, "image"))
     if state.plane is not None and "plane_offset" in u:
         turn = float(np.hypot(u["plane_turn_1"], u["plane_turn_2"]))
-        out.append(EstimatedQuantity("laser plane, direction", 0.0, turn, "rad", "camera"))
+        out.append(EstimatedQuantity("laser plane, direction", float("nan"), turn, "rad", "camera"))
         offset = float(state.plane.normal @ state.plane_pivot + state.plane.offset)
         out.append(EstimatedQuantity("laser plane, offset", offset, u["plane_offset"], "mm", "camera"))
     for name in ("curvature_uu", "curvature_uv", "curvature_vv"):
@@ -150,7 +150,7 @@ def _quantities(state: State, axis: Line | None, covariance: SystemCovariance) -
             ("axis_shift_x", "axis, position along x", "mm"),
             ("axis_shift_y", "axis, position along y", "mm"),
         ):
-            out.append(EstimatedQuantity(label, 0.0, u[name], unit, "base"))
+            out.append(EstimatedQuantity(label, float("nan"), u[name], unit, "base"))
     if "angle_cos" in u:
         out.append(EstimatedQuantity("angle error, cos", state.angle_error.cos_rad, u["angle_cos"], "rad", "table"))
         out.append(EstimatedQuantity("angle error, sin", state.angle_error.sin_rad, u["angle_sin"], "rad", "table"))
@@ -202,7 +202,7 @@ def _groups(setting: Setting, found: Iterated, left_out: HeldOut) -> tuple[Resid
         kept = np.concatenate([v.weight for v in views[g]]) > KEPT
         u = np.concatenate(predicted[g])
         stripe = info.kind in ("plate-stripe", "artifact")
-        usual = float(np.sqrt(np.mean(u**2)))
+        usual = float(np.median(u))
         scale = float(found.noise.scale[g])
         out.append(
             ResidualGroup(

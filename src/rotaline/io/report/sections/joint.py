@@ -64,12 +64,7 @@ def _judge(joint: JointCalibration) -> tuple[str, Level]:
     )
     if joint.mounts:
         text += f" The surfaces of {numbers.plural(len(joint.mounts), 'mount')} fit to {numbers.um(_rms_of_mounts(joint))} µm RMS."
-    weak = len(joint.weak_directions)
-    if weak:
-        text += f" {numbers.plural(weak, 'direction')} of the parameters {'is' if weak == 1 else 'are'} weakly determined: see below."
-    if not joint.converged:
-        return text, "poor"
-    return text, "fair" if weak else "good"
+    return text, "good" if joint.converged else "poor"
 
 
 def _rms_of_mounts(joint: JointCalibration) -> float:
@@ -83,6 +78,8 @@ def _shown(value: float, u: float, unit: str) -> tuple[str, str, str]:
         return numbers.parameter(value, 2.0 * u), numbers.significant(2e6 * u), "µrad"
     if unit == "mm":
         return numbers.parameter(value, 2.0 * u), numbers.significant(2e3 * u), "µm"
+    if unit == "relative":
+        return numbers.parameter(value, 2.0 * u), numbers.significant(2e6 * u), "ppm"
     return numbers.parameter(value, 2.0 * u), numbers.significant(2.0 * u), unit
 
 
@@ -95,6 +92,7 @@ def _parameters(joint: JointCalibration) -> Table:
     rows = []
     for q in joint.parameters:
         value, expanded, unit = _shown(q.value, q.u, q.unit)
+        value = value if np.isfinite(q.value) else numbers.MISSING
         rows.append(Row((q.name, value, _unit(q.unit), expanded, _unit(unit), q.frame)))
     return Table(
         "Calibrated quantities with their expanded uncertainty U (k = 2).",
@@ -107,7 +105,8 @@ def _parameters(joint: JointCalibration) -> Table:
             Column("Frame", numeric=False),
         ),
         tuple(rows),
-        "From the covariance of the whole estimate, so each U holds with all other quantities unknown.",
+        "From the covariance of the whole estimate, so each U holds with all other quantities unknown. Directions and places have no single value; "
+        "the laser plane and the axis themselves stand in their sections and in calibration.json.",
     )
 
 
@@ -228,7 +227,7 @@ def _weak_directions(joint: JointCalibration) -> list[Block]:
         )
     return [
         Table(
-            "What the data leave open.",
+            "What limits a measured point, the largest share first.",
             (
                 Column("Direction", numeric=False),
                 Column("U (k = 2)"),
