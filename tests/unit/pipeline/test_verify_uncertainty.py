@@ -169,16 +169,17 @@ def test_a_realisation_has_all_errors_within_their_uncertainty(small_twin, monke
     assert 0.0001 < found.errors[-1].u < 0.01
 
 
-def test_the_bound_is_below_the_stated_uncertainty_and_near_it(small_twin):
-    """Stated: what a robust estimate knows that has to learn the size of the noise and looks for errors that there are not."""
+def test_the_bound_is_near_the_stated_variances(small_twin):
+    """The estimate learns the size of the noise to a few per cent; for errors of the table that it cannot exclude, the axis pays."""
     observations = small_twin.observed(verify.TARGET_PX, verify.STRIPE_PX, 4).observations
     parts = verify.calibrate_observations(observations, verify.JOINT_OPTIONS)
     bound = efficiency.information_bound(observations, efficiency.joint_start(parts, observations), parts.joint)
     stated = parts.joint.covariance
-    place = [stated.names.index(n) for n in bound.names]
-    ratio = np.linalg.solve(bound.matrix, stated.matrix[np.ix_(place, place)])
-    assert bound.names[-4:] == NAMES[-4:]
-    assert 1.0 < np.trace(ratio) / len(place) < 1.3
+    assert bound.names == stated.names[: len(bound.names)]
+    assert bound.names[-7:] == NAMES[1:]
+    ratio = np.diag(stated.matrix)[: len(bound.names)] / np.diag(bound.matrix)
+    assert np.all((ratio[:-4] > 0.95) & (ratio[:-4] < 1.1))  # camera and plane
+    assert np.all((ratio[-4:] > 0.95) & (ratio[-4:] < 2.0))
     assert 0.5 < bound.used_fraction <= 1.0
 
 
