@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import stats
 
 from rotaline.calibration.verdict.artifact_step import ArtifactVerdict, judge_artifact
 from rotaline.calibration.verdict.axis_step import angle_scale, judge_axis, with_true_angles, wrong_angle_scale
@@ -196,7 +197,8 @@ class MeasuredEntry:
 def judge_measurements(verdict: Verdict, entries: Sequence[MeasuredEntry]) -> Verdict:
     """Add the step "measure": measured features against their references.
 
-    An error beyond U (k = 2) is doubtful, one beyond 3 U fails, and the step that most likely made it is named: that of the gravest
+    Of many values some lie outside U (k = 2) by chance. An error that chance alone would hardly give to any of them (5 %, all together) is
+    doubtful, one beyond 3 U fails, and the step that most likely made it is named: that of the gravest
     finding; without findings the kind of the errors tells (all sizes by one factor: a scale; otherwise the axis).
     """
     judged = [e for e in entries if np.isfinite([e.value, e.reference, e.u]).all()]
@@ -209,23 +211,23 @@ def judge_measurements(verdict: Verdict, entries: Sequence[MeasuredEntry]) -> Ve
     figures = tuple(
         Figure(f"error of {e.name}", e.value - e.reference, "mm", f"U = {um(2 * e.u)} (k = 2)") for e in judged
     )
-    bad = sorted((e for e in judged if ratio[e] > 1), key=lambda e: -ratio[e])
-    inside = f"{len(judged) - len(bad)} of {len(judged)} measured values agree with their references within U (k = 2)"
+    by_chance = max(float(stats.norm.isf(0.025 / len(judged))) / 2.0, 1.0)  # in units of U
+    bad = sorted((e for e in judged if ratio[e] > by_chance), key=lambda e: -ratio[e])
+    n_outside = sum(r > 1 for r in ratio.values())
+    inside = f"{len(judged) - n_outside} of {len(judged)} measured values agree with their references within U (k = 2)"
     if not bad:
+        text = inside + (", as many as chance allows." if n_outside else ".")
         return _verdict(
-            (*others, StepVerdict("measure", "pass", inside + ".", figures)),
+            (*others, StepVerdict("measure", "pass", text, figures)),
             kept,
             verdict.u_point_mm,
             verdict.u_noise_mm,
         )
     level: Level = "fail" if ratio[bad[0]] > _FAR else "doubtful"
-    # one value in twenty may lie outside U by chance
-    if level == "doubtful" and len(bad) == 1 and len(judged) >= 20:
-        level = "pass"
     cause, action = _likely(kept, judged)
     listed = "; ".join(f"{e.name}: {um(e.value - e.reference)} with U = {um(2 * e.u)}" for e in bad[:4])
     finding = Finding("wrong result", "measure", level, f"{listed}. {cause}", action, ratio[bad[0]])
-    findings = kept if level == "pass" else _ordered((*kept, finding))
+    findings = _ordered((*kept, finding))
     step = StepVerdict("measure", level, f"{inside}; off: {listed}.", figures)
     return _verdict((*others, step), findings, verdict.u_point_mm, verdict.u_noise_mm)
 

@@ -37,10 +37,13 @@ def test_an_error_beyond_u_is_doubtful_and_beyond_three_u_fails(error, level):
     assert "rod" not in finding.text
 
 
-def test_one_value_of_twenty_may_lie_outside_by_chance():
+def test_of_many_values_some_lie_outside_by_chance():
     result, _ = measured(*(entry(f"part {k}", 0.0025 * (k == 3)) for k in range(20)))
     assert result.level == "pass"
-    result, _ = measured(*(entry(f"part {k}", 0.0025 * (k == 3)) for k in range(19)))
+    assert "19 of 20" in next(s.text for s in result.steps if s.step == "measure")
+    result, _ = measured(*(entry(f"part {k}", 0.0032 * (k == 3)) for k in range(20)))  # 3.2 u: one in 36 of twenty
+    assert result.level == "doubtful"
+    result, _ = measured(entry("part", 0.0025))
     assert result.level == "doubtful"
 
 
