@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rotaline.calibration.joint.data import JointData
+from rotaline.calibration.joint.data import JointData, PlateFrame, TableFrame
 from rotaline.calibration.joint.line_width import SHARE_UNKNOWN
 from rotaline.calibration.joint.noise import (
     KEPT,
@@ -99,11 +99,13 @@ class Iterated:
 class Effects:
     """Errors that belong to single frames and to single points of targets, as found in the last iteration.
 
-    ``own``: each frame's own parameters; ``offsets`` (k, 2): of all points of all targets, one target after another, mm.
+    ``own``: each frame's own parameters; ``offsets`` (k, 2): of all points of all targets, one target after another, mm; ``n_fitted`` (g,): how many
+    parameters the residuals of each group have been fitted with, those that are known beforehand by the part that they are not.
     """
 
     own: tuple[Float[np.ndarray, " _"], ...]
     offsets: Float[np.ndarray, "k 2"]
+    n_fitted: Float[np.ndarray, " g"]
 
 
 def iterate(
@@ -135,7 +137,7 @@ def iterate(
         n_iterations += 1
         frames = linearise(setting, state, noise, band_mm, effects, prints, thin)
         if effects is not None:
-            noise = _learn(setting.data, noise, frames, with_correlation=thin == 1)
+            noise = _learn(setting.data, noise, frames, effects.n_fitted, with_correlation=thin == 1)
             frames = tuple(_weighted(f.rows, f.raw, f.cleaned, noise, f.mount) for f in frames)
         triangles = _press_all(setting, layout, state, noise, frames)
         steady = False
@@ -194,11 +196,45 @@ def solve_all(
     n_points = sum(len(t.points_board()) for t in data.targets)
     if not prints:
         solution = solve(eliminated, prior)
-        return solution, Effects(solution.own_steps, np.zeros((n_points, 2))), None
+        n_fitted = _count_fitted(setting, noise, frames, solution, None)
+        return solution, Effects(solution.own_steps, np.zeros((n_points, 2)), n_fitted), None
     weights = row_weights(setting, noise, frames, final)
     model = print_model(eliminated, triangles, layout, prior, [f.rows for f in frames], weights, prints, data.targets)
     solution, offsets = solve_with_print_errors(model, eliminated, noise.print_mm)
-    return solution, Effects(solution.own_steps, offsets), model
+    return solution, Effects(solution.own_steps, offsets, _count_fitted(setting, noise, frames, solution, model)), model
+
+
+def _count_fitted(
+    setting: Setting,
+    noise: Noise,
+    frames: Sequence[FrameResiduals],
+    solution: Solution,
+    model: PrintModel | None,
+) -> Float[np.ndarray, " g"]:
+    """Parameters that the residuals of each group have been fitted with: of frames, and of the points of targets."""
+    data = setting.data
+    stripes = _is_stripe(data)
+    fitted = np.zeros(len(data.groups))
+    for k, (frame, variances) in enumerate(zip(frames, solution.own_variances, strict=True)):
+        if not len(frame.rows.group):
+            continue
+        prior = noise.local_prior(len(variances), k >= len(data.plates))
+        shares = np.clip(1.0 - variances * prior**2, 0.0, 1.0)
+        fitted[frame.rows.group[0]] += float(shares[:6].sum())
+        fitted[frame.rows.group[-1]] += float(shares[6:].sum())
+    if model is not None:
+        shared = model.strengths * noise.print_mm[model.owners] ** 2
+        for t in np.unique(model.owners):
+            of_points = float(np.sum((shared / (1.0 + shared))[model.owners == t]))
+            counts = np.zeros(len(data.groups))
+            shown: list[PlateFrame | TableFrame] = [*data.plates, *data.tables]
+            for f in shown:
+                if f.points.target == t:
+                    counts[f.points.group] += len(f.points.numbers)
+            fitted += of_points * counts / max(counts.sum(), 1.0)
+    values = np.bincount(np.concatenate([f.rows.group for f in frames]), minlength=len(fitted))
+    everywhere = len(solution.step) * values / max(values.sum(), 1) * ~stripes
+    return np.asarray(fitted + everywhere)
 
 
 def linearise(
@@ -294,7 +330,8 @@ def row_weights(
     if final:
         for g in range(len(factors)):
             mine = [f.standardised[f.rows.group == g] for f in frames]
-            factors[g] = information_factor(np.concatenate(mine))
+            freedom = noise.freedom[g] if len(noise.freedom) else 1.0
+            factors[g] = information_factor(np.concatenate(mine) * freedom)
     out = []
     for frame in frames:
         rows = frame.rows
@@ -375,8 +412,15 @@ def _step(setting: Setting, layout: Layout, state: State, solution: Solution) ->
     return state.after(layout, factor * solution.step, setting.camera_names, plate_steps, pivots, data.artifact_groups)
 
 
-def _learn(data: JointData, noise: Noise, frames: Sequence[FrameResiduals], with_correlation: bool) -> Noise:
+def _learn(
+    data: JointData,
+    noise: Noise,
+    frames: Sequence[FrameResiduals],
+    n_fitted: Float[np.ndarray, " g"],
+    with_correlation: bool,
+) -> Noise:
     """Scales of the groups and correlations along the stripes from the residuals."""
+    freedom = noise.freedom.copy() if len(noise.freedom) else np.ones(len(data.groups))
     scale, correlation = noise.scale.copy(), noise.correlation.copy()
     factors = noise.frame.copy() if len(noise.frame) else np.ones(len(frames))
     for g, info in enumerate(data.groups):
@@ -391,7 +435,8 @@ def _learn(data: JointData, noise: Noise, frames: Sequence[FrameResiduals], with
         if not values:
             continue
         together = np.concatenate(values)
-        scale[g] = max(robust_scale(together), 1e-6)
+        freedom[g] = np.sqrt(len(together) / max(len(together) - n_fitted[g], 0.25 * len(together)))
+        scale[g] = max(robust_scale(together) * freedom[g], 1e-6)
         if with_correlation and info.kind in ("plate-stripe", "artifact"):
             mine_frames = [f for f, frame in enumerate(frames) if np.any(frame.rows.group == g)]
             slow = [slow_variance(v / scale[g], p) for v, p in zip(values, pieces, strict=True)]
@@ -400,7 +445,7 @@ def _learn(data: JointData, noise: Noise, frames: Sequence[FrameResiduals], with
                 factors[f] = frame_factor(float(factors[f]), variance, usual)
             kept = robust_weights(together / scale[g]) > KEPT
             correlation[g] = correlation_length(together, np.concatenate(pieces), kept)
-    return replace(noise, scale=scale, correlation=correlation, frame=factors)
+    return replace(noise, scale=scale, correlation=correlation, frame=factors, freedom=freedom)
 
 
 def _is_stripe(data: JointData) -> Bool[np.ndarray, " g"]:

@@ -39,6 +39,7 @@ class Noise:
     table : (4,)   standard deviations of the errors of ``TABLE_ERRORS``: rad, mm, mm, rad
     plate_mm : of the surface of a plate off the plane of its points
     print_mm : (t,)   of the places of a target's points, along x and y
+    freedom : (g,)   by how much the noise is larger than the residuals, because parameters have been fitted to these; empty before that is known
     frame : (f,)   by how much the stripe of a frame errs more than those of the other frames of its group, >= 1; empty before that is known
     """
 
@@ -47,6 +48,7 @@ class Noise:
     table: Float[np.ndarray, "4"] = field(default_factory=lambda: np.array([1e-3, 3e-2, 1e-2, 3e-4]))
     plate_mm: float = 2e-2
     print_mm: Float[np.ndarray, " t"] = field(default_factory=lambda: np.zeros(0))
+    freedom: Float[np.ndarray, " h"] = field(default_factory=lambda: np.ones(0))
     frame: Float[np.ndarray, " f"] = field(default_factory=lambda: np.ones(0))
 
     def local_prior(self, n_local: int, on_table: bool) -> Float[np.ndarray, " l"]:
