@@ -226,6 +226,20 @@ class AngleError:
 
 
 @dataclass(frozen=True, eq=False)
+class TableMotion:
+    """Movements of the rotation axis once per turn that turn against the table; what turns with it is another place of the part.
+
+    With the table turned by ``phi`` (right-handed about base z) and ``against = R(-phi)`` in the plane of x and y, the axis stands shifted by
+    ``against @ run_out_mm`` and tilted by the rotation vector ``against @ wobble_rad`` about ``pivot_camera``, both in the base frame:
+    ``X_base = tilt (turn_z(phi) X_table) + shift``, with X counted from the pivot.
+    """
+
+    run_out_mm: tuple[float, float]
+    wobble_rad: tuple[float, float]
+    pivot_camera: Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, eq=False)
 class SystemCovariance:
     """Covariance of what a scan is made with: errors that are common to all points of all scans.
 
@@ -238,6 +252,7 @@ class SystemCovariance:
     - ``axis_turn_x``, ``axis_turn_y`` (rad), ``axis_shift_x``, ``axis_shift_y`` (mm): the axis turns about x and y of the base
       frame, right-handed, about ``axis_pivot``, and moves along them; the frame moves with it
     - ``angle_cos``, ``angle_sin`` (rad): of :class:`AngleError`, where that was estimated
+    - ``run_out_x``, ``run_out_y`` (mm), ``wobble_x``, ``wobble_y`` (rad): of :class:`TableMotion`, where that was estimated
 
     Attributes
     ----------
@@ -268,6 +283,7 @@ class SystemCalibration:
     table_seen: bool
     laser_curvature: SheetCurvature | None = None
     angle_error: AngleError = AngleError()
+    table_motion: TableMotion | None = None
     covariance: SystemCovariance | None = None
     line_sigma_mm: float = 0.0
     stripe_blur_px: float = 0.0

@@ -13,6 +13,7 @@ from rotaline.calibration.model import (
     CameraCalibration,
     LaserPlaneCalibration,
     SystemCovariance,
+    TableMotion,
 )
 from rotaline.geometry.primitives import Artifact, Line, Plane, SheetCurvature
 from rotaline.vision.camera import CameraModel
@@ -194,6 +195,7 @@ class JointCalibration:
     warnings: tuple[str, ...]
     line_sigma_mm: float = 0.0
     stripe_blur_px: float = 0.0
+    table_motion: TableMotion | None = None
 
 
 @dataclass(frozen=True)

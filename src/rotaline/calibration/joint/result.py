@@ -23,7 +23,7 @@ from rotaline.calibration.joint.noise import KEPT, TABLE_CLASSES, TABLE_ERRORS, 
 from rotaline.calibration.joint.observability import weak_directions
 from rotaline.calibration.joint.state import POSE_MOTIONS, State, once_per_turn
 from rotaline.calibration.joint.surfaces import mid_height, sizes_of, surface_names
-from rotaline.calibration.model import SystemCovariance
+from rotaline.calibration.model import SystemCovariance, TableMotion
 from rotaline.geometry.primitives import KnownSphere, Line, SheetCurvature
 from rotaline.geometry.transforms import base_from_axis
 from rotaline.vision.camera import DISTORTION_NAMES
@@ -33,6 +33,8 @@ _SLOT_NAMES = {
     "curvature": ("curvature_uu", "curvature_uv", "curvature_vv"),
     "axis": ("axis_turn_x", "axis_turn_y", "axis_shift_x", "axis_shift_y"),
     "angle": ("angle_cos", "angle_sin"),
+    "run-out": ("run_out_x", "run_out_y"),
+    "wobble": ("wobble_x", "wobble_y"),
 }
 
 
@@ -89,6 +91,7 @@ def to_result(
         warnings=(),
         line_sigma_mm=float(np.sqrt(max(state.line_variance, 0.0))),
         stripe_blur_px=state.stripe_blur_px,
+        table_motion=_table_motion(state, turn),
     )
     return replace(result, weak_directions=weak_directions(result))
 
@@ -106,6 +109,15 @@ def _final_axis(state: State) -> tuple[Line | None, State, float]:
     return axis, state, float(np.arctan2(final[1, 0], final[0, 0]))
 
 
+def _table_motion(state: State, turn_rad: float) -> TableMotion | None:
+    """Run-out and wobble in the base frame of the final line; None where there are none."""
+    if state.camera_from_base is None or not (state.run_out.any() or state.wobble.any()):
+        return None
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    (rx, ry), (wx, wy) = np.stack([state.run_out, state.wobble]) @ np.array([[c, s], [-s, c]])
+    return TableMotion((float(rx), float(ry)), (float(wx), float(wy)), state.camera_from_base.translation)
+
+
 def _system_covariance(setting: Setting, found: Iterated, state: State, turn_rad: float) -> SystemCovariance:
     """The part of the covariance that a scan needs, with the axis in the base frame of the final line."""
     names, columns = list(setting.camera_names), list(range(len(setting.camera_names)))
@@ -121,6 +133,10 @@ def _system_covariance(setting: Setting, found: Iterated, state: State, turn_rad
         c, s = np.cos(turn_rad), np.sin(turn_rad)
         turn = np.eye(len(names))
         turn[at : at + 2, at : at + 2] = turn[at + 2 : at + 4, at + 2 : at + 4] = [[c, -s], [s, c]]
+        for first in ("run_out_x", "wobble_x"):
+            if first in names:
+                k = names.index(first)
+                turn[k : k + 2, k : k + 2] = [[c, -s], [s, c]]
         matrix = turn @ matrix @ turn.T
     pivot = np.zeros(3) if state.camera_from_base is None else state.camera_from_base.translation
     return SystemCovariance(tuple(names), matrix, state.plane_pivot, pivot)
@@ -151,6 +167,14 @@ def _quantities(state: State, axis: Line | None, covariance: SystemCovariance) -
             ("axis_shift_y", "axis, position along y", "mm"),
         ):
             out.append(EstimatedQuantity(label, float("nan"), u[name], unit, "base"))
+    for name, label, unit, value in (
+        ("run_out_x", "run-out once per turn, x", "mm", state.run_out[0]),
+        ("run_out_y", "run-out once per turn, y", "mm", state.run_out[1]),
+        ("wobble_x", "wobble once per turn, x", "rad", state.wobble[0]),
+        ("wobble_y", "wobble once per turn, y", "rad", state.wobble[1]),
+    ):
+        if name in u:
+            out.append(EstimatedQuantity(label, float(value), u[name], unit, "base"))
     if "angle_cos" in u:
         out.append(EstimatedQuantity("angle error, cos", state.angle_error.cos_rad, u["angle_cos"], "rad", "table"))
         out.append(EstimatedQuantity("angle error, sin", state.angle_error.sin_rad, u["angle_sin"], "rad", "table"))

@@ -1,4 +1,7 @@
-"""What frames show that took no part, against estimates that were made without them."""
+"""What frames show that took no part, against estimates that were made without them.
+
+Few frames are left, so that it matters whether one takes part: its residuals grow, by so much.
+"""
 
 from dataclasses import replace
 
@@ -16,62 +19,54 @@ def found(right_handed):
     return right_handed.solved()
 
 
-def _left_out(case, found, data):
-    """The estimate without some frames, from the end of the one with them."""
-    kept = {f.name for f in data.plates}
-    plates = tuple(p for p, f in zip(found.state.plates, case.data.plates, strict=True) if f.name in kept)
-    mounts = [k for k, name in enumerate(case.data.mount_names) if name in data.mount_names]
+def _part(case, found, plates, mounts):
+    """The session with some of its plates and mounts only and no target on the table: a case and its estimate."""
+    data = replace(
+        case.data,
+        plates=tuple(case.data.plates[k] for k in plates),
+        tables=(),
+        mount_frames=tuple(
+            replace(f, mount=mounts.index(f.mount)) for f in case.data.mount_frames if f.mount in mounts
+        ),
+        mount_names=tuple(case.data.mount_names[k] for k in mounts),
+        artifact_groups=tuple(case.data.artifact_groups[k] for k in mounts),
+        n_boards=0,
+    )
     state = replace(
         found.state,
-        plates=plates,
+        plates=tuple(found.state.plates[k] for k in plates),
+        boards=(),
         mounts=tuple(found.state.mounts[k] for k in mounts),
         artifacts=tuple(found.state.artifacts[k] for k in mounts),
     )
     setting = replace(case.setting, data=data, artifacts=tuple(case.setting.artifacts[k] for k in mounts))
-    layout = replace(
-        found.layout,
-        slots=tuple(s for s in found.layout.slots if not s[0].startswith("mount:") or int(s[0][6:]) in mounts),
-    )
-    return iterate(setting, layout, state, replace(found.noise, frame=np.ones(0)), found.band_mm).state
+    part = replace(case, data=data, state=state, setting=setting)
+    layout = part.layout()
+    if not mounts:
+        layout = replace(layout, slots=tuple(s for s in layout.slots if s[0] != "axis"))
+    noise = replace(found.noise, frame=np.ones(0))
+    return part, iterate(setting, layout, state, noise, found.band_mm)
 
 
-def _faulty(case, found, data):
-    """The estimate with frames that are off, so that it matters whether they take part."""
-    setting = replace(case.setting, data=data)
-    return replace(case, data=data, setting=setting), iterate(
-        setting, found.layout, found.state, found.noise, found.band_mm
-    )
-
-
-@pytest.mark.parametrize("k", [1, 9])
+@pytest.mark.parametrize("k", [1, 3])
 def test_a_view_that_took_no_part(right_handed, found, k):
-    """Its points are drawn together towards the middle of the image."""
-    points = right_handed.data.plates[k].points
-    off = points.uv - [320.0, 240.0]
-    drawn = replace(points, uv=points.uv - 5e-9 * off * np.sum(off**2, axis=1)[:, None])
-    bad = tuple(replace(f, points=drawn) if i == k else f for i, f in enumerate(right_handed.data.plates))
-    case, found = _faulty(right_handed, found, replace(right_handed.data, plates=bad))
-    plates = tuple(f for i, f in enumerate(case.data.plates) if i != k)
-    without = _left_out(case, found, replace(case.data, plates=plates))
-    frame, pose = case.data.plates[k], found.state.plates[k]
+    """Two views in role camera, five with stripes."""
+    plates = [0, 4, 8, 9, 10, 11, 12]
+    case, whole = _part(right_handed, found, plates, [])
+    _, part = _part(right_handed, found, [p for i, p in enumerate(plates) if i != k], [])
+    without, frame, pose = part.state, case.data.plates[k], whole.state.plates[k]
     n = 2 * len(frame.points.uv)
     for _ in range(5):
         rows = plate_rows(without, frame, pose, case.data, case.names)
         step = -np.linalg.lstsq(rows.local[:n, :6], rows.residuals[:n], rcond=None)[0]
         pose = pose.moved(step, plate_pivot(without, frame, pose))
     left = plate_rows(without, frame, pose, case.data, case.names).residuals
-    result = held_out(case.setting, found)
+    result = held_out(case.setting, whole)
     rms_px = np.sqrt(2 * np.mean(left[:n] ** 2))
-    print(
-        k,
-        rms_px,
-        result.of(k, stripe=False),
-        np.sqrt(2 * np.mean(found.frames[k].raw[:n] ** 2)),
-        case.data.plates[k].points.uv[0] - points.uv[0],
-    )
-    assert result.of(k, stripe=False) == pytest.approx(rms_px, rel=0.03)
-    assert np.sqrt(2 * np.mean(found.frames[k].raw[:n] ** 2)) < 0.93 * rms_px
-    assert (frame.stripe is not None) == (k == 9)
+    inside = np.sqrt(2 * np.mean(whole.frames[k].raw[:n] ** 2))
+    assert rms_px > inside
+    assert result.of(k, stripe=False) - inside == pytest.approx(rms_px - inside, rel=0.15)
+    assert (frame.stripe is not None) == (k == 3)
     if frame.stripe is None:
         assert np.isnan(result.of(k, stripe=True))
     else:
@@ -79,49 +74,36 @@ def test_a_view_that_took_no_part(right_handed, found, k):
 
 
 def test_a_mount_that_took_no_part(right_handed, found):
-    """The last one, so that the others keep their numbers; its stripes are off, in other frames to the other side."""
-    last = len(right_handed.data.mount_names) - 1
-    frames = tuple(
-        replace(f, stripe=replace(f.stripe, uv=f.stripe.uv + 0.15 * f.stripe.normal)) if f.mount == last else f
-        for f in right_handed.data.mount_frames
-    )
-    case, found = _faulty(right_handed, found, replace(right_handed.data, mount_frames=frames))
-    data = replace(
-        case.data,
-        mount_frames=tuple(f for f in case.data.mount_frames if f.mount != last),
-        mount_names=case.data.mount_names[:-1],
-        artifact_groups=case.data.artifact_groups[:-1],
-    )
-    without = _left_out(case, found, data)
+    """One of two, and no target on the table: the axis comes from the other alone."""
+    plates = [0, 2, 4, 8, 9, 10]
+    case, whole = _part(right_handed, found, plates, [0, 3])
+    _, part = _part(right_handed, found, plates, [0])
     state = replace(
-        without,
-        mounts=(*without.mounts, found.state.mounts[last]),
-        artifacts=(*without.artifacts, found.state.artifacts[last]),
+        part.state,
+        mounts=(*part.state.mounts, whole.state.mounts[1]),
+        artifacts=(*part.state.artifacts, whole.state.artifacts[1]),
     )
-    frames = [f for f in case.data.mount_frames if f.mount == last]
-    slot = f"mount:{last}"
+    frames = [f for f in case.data.mount_frames if f.mount == 1]
     for _ in range(5):
         columns, residuals, distances = [], [], []
         for frame, (rows, _) in zip(frames, mount_rows(state, frames, case.data, case.names, 0.5), strict=True):
-            motions = table_motions(state, frame.angle_rad, found.layout, slot, state.mount_pivot(last))
-            columns.append(rows.local @ motions[slot])
+            motions = table_motions(state, frame.angle_rad, whole.layout, "mount:1", state.mount_pivot(1))
+            columns.append(rows.local @ motions["mount:1"])
             residuals.append(rows.residuals)
             distances.append(rows.residuals * rows.mm_per_px)
-        step = np.zeros(found.layout.size)
-        step[found.layout.of(slot)] = -np.linalg.lstsq(np.concatenate(columns), np.concatenate(residuals), rcond=None)[
-            0
-        ]
-        state = case.after(state, found.layout, step)
+        step = np.zeros(whole.layout.size)
+        move = -np.linalg.lstsq(np.concatenate(columns), np.concatenate(residuals), rcond=None)[0]
+        step[whole.layout.of("mount:1")] = move
+        state = case.after(state, whole.layout, step)
     rms_mm = np.sqrt(np.mean(np.concatenate(distances) ** 2))
-    mine = [f for f in found.frames if f.mount is not None][-len(frames) :]
+    mine = whole.frames[-len(frames) :]
     inside = np.sqrt(np.mean(np.concatenate([f.raw * f.rows.mm_per_px for f in mine]) ** 2))
-    print(rms_mm, held_out(case.setting, found).mounts_mm, inside)
-    assert held_out(case.setting, found).mounts_mm[last] == pytest.approx(rms_mm, rel=0.05)
-    assert inside < 0.93 * rms_mm
+    assert rms_mm > inside
+    assert held_out(case.setting, whole).mounts_mm[1] - inside == pytest.approx(rms_mm - inside, rel=0.15)
 
 
 def test_a_frame_with_a_fault_stands_out_when_it_takes_no_part(right_handed, found):
-    """The stripe of one pose 0.3 px off: within the estimate the plane gives way, without the pose it does not."""
+    """The stripe of one pose is 0.3 px off: what its plate may be off its points must not hide it."""
     case = right_handed
     k = next(i for i, f in enumerate(case.data.plates) if f.stripe is not None)
     line = case.data.plates[k].stripe

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rotaline.calibration.joint.line_width import centre_shift, crossing, line_sigma
+from rotaline.calibration.joint.line_width import crossing, line_and_blur
+from rotaline.calibration.stripe_shift import stripe_shift
 from rotaline.geometry.primitives import unit
 
 FOCAL = 1500.0
@@ -72,14 +73,14 @@ def test_crossing_is_the_first_and_second_derivative_of_the_distance(name):
 @pytest.mark.parametrize("name", ["ball", "rod"])
 @pytest.mark.parametrize("sigma_mm", [0.05, 0.15])
 def test_shift_is_that_of_the_centre_of_gravity(name, sigma_mm):
-    """A surface that scatters evenly is as bright as the sheet that lights it, wherever it is seen from."""
+    """A surface that scatters evenly is as bright as the sheet that lights it, wherever it is seen from; blur spreads this, but does not move it."""
     surface, x, y = _SURFACES[name]
     direction = np.array([1.0, 0.0])
     a, b = _crossing(surface, x, y, direction)
     s = np.linspace(-7.0, 7.0, 4001) * sigma_mm / abs(a[0])
     light = np.exp(-0.5 * (_along(surface, x, y, direction)(s) / sigma_mm) ** 2)
     exact = float(s @ light / light.sum())
-    shift = sigma_mm**2 * centre_shift(a, b)[0]
+    shift = stripe_shift(a, b, np.zeros(1), sigma_mm, 1e3)[0]
     assert abs(exact) > 5e-5
     assert shift == pytest.approx(exact, rel=0.05)
 
@@ -90,14 +91,16 @@ def test_width_of_the_line_from_stripes_on_steep_and_flat_surfaces(blur_px):
     a = rng.uniform(0.05, 0.3, 6000) * rng.choice([-1.0, 1.0], 6000)
     width = np.sqrt(blur_px**2 + (0.08 / a) ** 2) * (1 + 0.03 * rng.standard_normal(6000))
     width[::50] *= 5.0
-    assert line_sigma(width, a) == pytest.approx(0.08, rel=0.05)
+    sigma_mm, blur = line_and_blur(width, a)
+    assert sigma_mm == pytest.approx(0.08, rel=0.05)
+    assert blur == pytest.approx(blur_px, abs=0.15)
 
 
 def test_widths_that_do_not_show_the_line():
     rng = np.random.default_rng(2)
     a = rng.uniform(0.05, 0.3, 6000)
-    assert line_sigma(np.full(6000, 0.7), a) == pytest.approx(0.0, abs=0.002)  # all of it blur
-    assert line_sigma(0.08 / a[:300], a[:300]) == 0.0  # too few points
-    assert line_sigma(np.full(6000, 0.7), 0.2 + 0.005 * rng.standard_normal(6000)) == 0.0  # one steepness
+    assert line_and_blur(np.full(6000, 0.7), a)[0] == pytest.approx(0.0, abs=0.002)  # all of it blur
+    assert line_and_blur(0.08 / a[:300], a[:300])[0] == 0.0  # too few points
+    assert line_and_blur(np.full(6000, 0.7), 0.2 + 0.005 * rng.standard_normal(6000))[0] == 0.0  # one steepness
     growing = np.sqrt(np.maximum(1.0 - (0.02 / a) ** 2, 0.3))  # narrower where the line should be broader
-    assert line_sigma(growing, a) == 0.0
+    assert line_and_blur(growing, a)[0] == 0.0
