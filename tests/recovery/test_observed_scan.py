@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-from rotaline.calibration.model import SystemCalibration
+from rotaline.calibration.model import SystemCalibration, TableMotion
 from rotaline.scanning.triangulation import scan_cloud
 from rotaline.simulation.ideal.observed_scan import trace_scan
 from rotaline.simulation.ideal.stripe_trace import trace_stripe
@@ -14,7 +15,7 @@ from rotaline.simulation.imaging.raycast import Placed
 from rotaline.simulation.imaging.render import render_frame
 from rotaline.simulation.parts.shapes import SteppedRod
 from rotaline.simulation.plan import mount, table_disc
-from rotaline.simulation.rig import build_rig
+from rotaline.simulation.rig import Mechanics, build_rig
 from rotaline.simulation.small_session import BALL, ROD, STEPPED_CYLINDER
 from rotaline.vision.stripe.extract import extract_stripe
 
@@ -29,9 +30,9 @@ def _true_system(rig):
     return SystemCalibration(rig.camera, rig.laser_plane_camera, rig.rotation_axis_camera, rig.turn_sense, True)
 
 
-def _cloud(rig, scan, stripes):
+def _cloud(rig, scan, stripes, motion=None):
     """Points in the rig's own table frame: the x of a calibrated base points elsewhere."""
-    system = _true_system(rig)
+    system = replace(_true_system(rig), table_motion=motion)
     cloud = scan_cloud(stripes, scan.angles_rad, system)
     assert len(cloud) == len(scan.uv)
     rig_from_system = (system.base_from_camera * rig.camera_from_base).inv()
@@ -61,6 +62,27 @@ def test_ideal_stripes_give_the_true_surface(rig, shape):
     assert on_part.sum() > 1000
     assert np.abs(heights[on_part]).max() < 1e-6
     assert np.abs(points_table[points_table[:, 2] < 1e-3][:, 2]).max() < 1e-6
+
+
+@pytest.mark.parametrize("rig", RIGS.values(), ids=RIGS.keys())
+def test_movements_of_the_axis_that_are_known_leave_no_trace(rig):
+    """``a cos(angle + phase)`` is half a movement against the table, which is undone, and half one with it: another place on the table."""
+    run_out_mm, wobble_rad, phase, pivot = 0.05, 4e-4, np.radians(40.0), rig.rotation_axis_camera.point
+    errors = Mechanics(run_out_um=50.0, run_out_phase_deg=40.0, wobble_urad=400.0, wobble_phase_deg=40.0)
+    shaken = replace(rig, mechanics=errors)
+    scan = trace_scan(shaken, [Placed(BALL, mount(8.0, -1.2)), table_disc(rig)], ANGLES_DEG)
+    with_table = Rotation.from_euler("z", rig.turn_sense * phase)
+    halves = 0.5 * np.array([[run_out_mm, 0.0, 0.0], [0.0, wobble_rad, 0.0]])
+    shift, turn = with_table.apply(halves)
+    elsewhere = Rotation.from_rotvec(turn).apply(scan.points_table) + shift
+
+    system_from_rig = _true_system(rig).base_from_camera.rotation * rig.camera_from_base.rotation
+    run_out, wobble = (system_from_rig * with_table.inv()).apply(halves)[:, :2].tolist()
+    motion = TableMotion(tuple(run_out), tuple(wobble), pivot)
+    stripes = scan.observed(0.0, 1)
+    undone, as_seen = (_cloud(rig, scan, stripes, m)[0] for m in (motion, None))
+    assert np.abs(undone - elsewhere).max() < 2e-5  # products of the two
+    assert np.abs(as_seen - elsewhere).max() > 0.02
 
 
 @pytest.mark.parametrize("shape", [BALL, ROD], ids=["ball", "rod"])

@@ -4,8 +4,9 @@ Frames: everything in the camera frame (x right, y down, z forward; mm). ``laser
 ``laser_curvature`` adds (uu u^2 + 2 uv u v + vv v^2) / 2 to that, where u, v are the coordinates along ``u_direction`` and
 ``v_direction`` from ``origin``. ``line_sigma_mm`` is the standard deviation of the laser line across the sheet, ``stripe_blur_px``
 that of the image of a line without width; 0 where they are not known. ``turn_sense`` is +1 if ``angle_deg`` is right-handed about ``rotation_axis_camera.direction``;
-``angle_error``: the table has turned by read + cos cos(read) + sin sin(read), rad. ``covariance`` is that of small changes of all
-these, with the words that define each. Stages that were not done are null; ``quality`` has an object for each stage that was.
+``angle_error``: the table has turned by read + cos cos(read) + sin sin(read), rad. ``table_motion``: with the table turned by phi, its axis
+stands shifted by ``run_out_mm`` and tilted by the rotation vector ``wobble_rad`` about ``pivot_camera``, both turned by -phi about z of the
+base frame; null where the table just turns. ``covariance`` is that of small changes of all these, with the words that define each. Stages that were not done are null; ``quality`` has an object for each stage that was.
 """
 
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from rotaline.calibration.model import AngleError, SystemCalibration, SystemCovariance
+from rotaline.calibration.model import AngleError, SystemCalibration, SystemCovariance, TableMotion
 from rotaline.errors import SessionError
 from rotaline.geometry.fitting import across
 from rotaline.geometry.primitives import Line, Plane, SheetCurvature, unit
@@ -34,6 +35,8 @@ _PLANE_TURN = "normal . X + offset grows by this times (X - plane_pivot) . {} of
 _AXIS_TURN = "the axis and its frame turn about {} of the base frame, right-handed, about axis_pivot"
 _AXIS_SHIFT = "the axis and its frame move along {} of the base frame"
 _CURVATURE = "coefficient {} of laser_curvature"
+_RUN_OUT = "table_motion.run_out_mm along {} of the base frame"
+_WOBBLE = "table_motion.wobble_rad about {} of the base frame"
 _PARAMETERS: dict[str, tuple[str, str]] = {
     **dict.fromkeys(("fx", "fy", "cx", "cy"), ("px", "as in camera")),
     **dict.fromkeys(DISTORTION_NAMES, ("1", "as in camera.distortion")),
@@ -49,6 +52,10 @@ _PARAMETERS: dict[str, tuple[str, str]] = {
     "axis_shift_y": ("mm", _AXIS_SHIFT.format("y")),
     "angle_cos": ("rad", "angle_error.cos"),
     "angle_sin": ("rad", "angle_error.sin"),
+    "run_out_x": ("mm", _RUN_OUT.format("x")),
+    "run_out_y": ("mm", _RUN_OUT.format("y")),
+    "wobble_x": ("rad", _WOBBLE.format("x")),
+    "wobble_y": ("rad", _WOBBLE.format("y")),
 }
 """Units and meanings of the parameters of a covariance."""
 
@@ -67,12 +74,13 @@ class CalibrationFile:
     session: str = ""
     laser_curvature: SheetCurvature | None = None
     angle_error: AngleError = field(default_factory=AngleError)
+    table_motion: TableMotion | None = None
     covariance: SystemCovariance | None = None
     line_sigma_mm: float = 0.0
     stripe_blur_px: float = 0.0
 
     def system(self, initial_axis: bool = False) -> SystemCalibration | None:
-        """What a scan needs, or None if a part is missing. The initial axis knows no angle error, and has no covariance."""
+        """What a scan needs, or None if a part is missing. The initial axis knows no errors of the table, and has no covariance."""
         axis = self.rotation_axis_initial_camera if initial_axis else self.rotation_axis_camera
         if self.camera is None or self.laser_plane_camera is None or axis is None:
             return None
@@ -84,6 +92,7 @@ class CalibrationFile:
             self.table_seen,
             laser_curvature=self.laser_curvature,
             angle_error=AngleError() if initial_axis else self.angle_error,
+            table_motion=None if initial_axis else self.table_motion,
             covariance=None if initial_axis else self.covariance,
             line_sigma_mm=self.line_sigma_mm,
             stripe_blur_px=self.stripe_blur_px,
@@ -125,6 +134,12 @@ class _AngleError(_Strict):
     sin: _Number
 
 
+class _TableMotion(_Strict):
+    run_out_mm: tuple[_Number, _Number]
+    wobble_rad: tuple[_Number, _Number]
+    pivot_camera: tuple[_Number, _Number, _Number]
+
+
 class _Covariance(_Strict):
     names: tuple[str, ...]
     matrix: tuple[tuple[_Number, ...], ...]
@@ -140,6 +155,7 @@ class _Document(_Strict):
     rotation_axis_camera: _Axis | None
     rotation_axis_initial_camera: _Axis | None = None
     angle_error: _AngleError | None = None
+    table_motion: _TableMotion | None = None
     covariance: _Covariance | None = None
     line_sigma_mm: _Spread = 0.0
     stripe_blur_px: _Spread = 0.0
@@ -175,6 +191,7 @@ def write_calibration(path: Path, content: CalibrationFile) -> None:
         "rotation_axis_initial_camera": _axis_json(content.rotation_axis_initial_camera),
         "turn_sense": None if content.rotation_axis_camera is None else content.turn_sense,
         "angle_error": {"cos": content.angle_error.cos_rad, "sin": content.angle_error.sin_rad},
+        "table_motion": _table_motion_json(content.table_motion),
         "table_seen": content.table_seen,
         "covariance": _covariance_json(content.covariance),
         "quality": content.quality,
@@ -193,6 +210,12 @@ def _curvature_json(plane: Plane | None, curvature: SheetCurvature | None) -> di
     uu, uv, vv = curvature.coefficients
     directions = {"u_direction": u_direction, "v_direction": v_direction}
     return {"origin": curvature.origin, **directions, "uu": uu, "uv": uv, "vv": vv}
+
+
+def _table_motion_json(motion: TableMotion | None) -> dict[str, Any] | None:
+    if motion is None:
+        return None
+    return {"run_out_mm": motion.run_out_mm, "wobble_rad": motion.wobble_rad, "pivot_camera": motion.pivot_camera}
 
 
 def _covariance_json(covariance: SystemCovariance | None) -> dict[str, Any] | None:
@@ -250,6 +273,7 @@ def read_calibration(path: Path) -> CalibrationFile:
         session=document.session,
         laser_curvature=_curvature(document.laser_curvature),
         angle_error=_angle_error(document.angle_error),
+        table_motion=_table_motion(document.table_motion),
         covariance=_covariance(path, document),
         line_sigma_mm=document.line_sigma_mm,
         stripe_blur_px=document.stripe_blur_px,
@@ -275,11 +299,19 @@ def _angle_error(document: _AngleError | None) -> AngleError:
     return AngleError() if document is None else AngleError(document.cos, document.sin)
 
 
+def _table_motion(document: _TableMotion | None) -> TableMotion | None:
+    if document is None:
+        return None
+    return TableMotion(document.run_out_mm, document.wobble_rad, np.array(document.pivot_camera))
+
+
 def _covariance(path: Path, document: _Document) -> SystemCovariance | None:
     covariance = document.covariance
     if covariance is None:
         return None
-    known = [name for name in _PARAMETERS if document.laser_curvature is not None or not name.startswith("curvature")]
+    absent: tuple[str, ...] = () if document.laser_curvature is not None else ("curvature",)
+    absent += () if document.table_motion is not None else ("run_out", "wobble")
+    known = [name for name in _PARAMETERS if not name.startswith(absent)]
     unknown = set(covariance.names) - set(known)
     if unknown:
         raise SessionError(

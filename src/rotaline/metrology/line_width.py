@@ -9,7 +9,6 @@ The stripe's normal in the image follows from the surface: the stripe runs along
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from rotaline.calibration.joint.line_width import crossing
 from rotaline.calibration.joint.rays import RayBundle
@@ -18,6 +17,7 @@ from rotaline.calibration.stripe_shift import stripe_shift
 from rotaline.geometry.intersect import sheet_distance
 from rotaline.metrology.model import FeatureMeasurement
 from rotaline.scanning.cloud import PointCloud
+from rotaline.scanning.table_pose import base_from_table, directions_base_from_table
 
 DIAMETER = "diameter"
 """How the keys of values begin that hang on a curved surface."""
@@ -74,9 +74,8 @@ def moves_back(
     (n, 3)   mm, table frame: to be added to the points
     """
     camera_from_base = system.base_from_camera.inv()
-    base_from_table = Rotation.from_euler("z", angle_rad[:, None])
-    camera_from_table = camera_from_base.rotation * base_from_table
-    points = camera_from_base.apply(base_from_table.apply(points_table))
+    camera_from_table = camera_from_base.rotation * directions_base_from_table(angle_rad, system)
+    points = camera_from_base.apply(base_from_table(points_table, angle_rad, system))
     normals = camera_from_table.apply(normals_table)
     _, gradient = sheet_distance(points, system.laser_plane_camera, system.laser_curvature)
     sheet = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)

@@ -118,6 +118,7 @@ def joint_system(joint: JointCalibration) -> SystemCalibration | None:
         table_seen=False,
         laser_curvature=joint.laser_curvature,
         angle_error=joint.angle_error,
+        table_motion=joint.table_motion,
         covariance=joint.covariance,
         line_sigma_mm=joint.line_sigma_mm,
         stripe_blur_px=joint.stripe_blur_px,

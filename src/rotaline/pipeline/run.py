@@ -133,6 +133,7 @@ class Run:
             session=self._session.path.resolve().name,
             laser_curvature=joint.laser_curvature if joint else None,
             angle_error=joint.angle_error if joint else AngleError(),
+            table_motion=joint.table_motion if joint else None,
             covariance=joint.covariance if joint else None,
             line_sigma_mm=joint.line_sigma_mm if joint else 0.0,
             stripe_blur_px=joint.stripe_blur_px if joint else 0.0,

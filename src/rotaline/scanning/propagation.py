@@ -7,10 +7,12 @@ sees at a pixel moves by ``dX = J dp`` when the parameters p of :class:`rotaline
 - sheet, its equation g(X) = 0 changes by dg: the point slides along its ray by ``-dg / (grad g . ray)``;
 - axis: the base frame moves, the point stays; its coordinates change by ``-w x (X - pivot) - s``. The x axis of the base frame goes
   on pointing to the camera, which turns the frame about z;
-- angle: the point turns about z.
+- angle: the point turns about z;
+- run-out and wobble: the axis moves away under the point, which is ``-s`` and ``-w x (X - pivot)`` again, turned against the table.
 
 Where z = 0 lies follows from the same scan (the table top). So heights count from the place where the sheet comes nearest to the
-origin: what lifts the whole cloud lifts z = 0 with it, and is no error of any point.
+origin: what lifts the whole cloud lifts z = 0 with it, and is no error of any point. What the table does lifts and lowers its top over a
+turn, and leaves z = 0 in place.
 
 The covariance of a point is ``J C J^T`` [1]_, that of a quantity that depends on many points ``c C c^T`` with ``c = sum_i w_i J_i``.
 
@@ -31,6 +33,13 @@ from rotaline.geometry.fitting import across
 from rotaline.geometry.intersect import intersect_rays_with_sheet, sheet_coordinates, sheet_distance
 from rotaline.geometry.primitives import Plane, SheetCurvature
 from rotaline.scanning.cloud import read_angles_rad
+from rotaline.scanning.table_pose import (
+    against_table,
+    axis_movement,
+    base_from_table,
+    directions_base_from_table,
+    pivot_base,
+)
 from rotaline.vision.camera import DISTORTION_NAMES, CameraModel
 
 _CAMERA_NAMES = ("fx", "fy", "cx", "cy", *DISTORTION_NAMES)
@@ -61,9 +70,14 @@ def point_sensitivities(
     """
     if system.covariance is None:
         raise GeometryError("This calibration has no covariance, so that the uncertainty of points is not known.")
-    in_base = _base_derivatives(_turned(points_table, -angle_rad), angle_rad, system)
-    in_base[:, 2] -= _base_derivatives(_level_base(system), np.zeros(1), system)[0, 2]
-    return np.stack([_turned(column, angle_rad) for column in np.moveaxis(in_base, 2, 0)], axis=2)
+    names = system.covariance.names
+    points_base = base_from_table(points_table, angle_rad, system)
+    in_base = _by_rig(points_base, system) | _by_table(points_base, angle_rad, system)
+    table_from_base = np.swapaxes(directions_base_from_table(angle_rad, system).as_matrix(), 1, 2)
+    in_table = table_from_base @ np.stack([in_base[name] for name in names], axis=2)
+    of_level = _by_rig(_level_base(system), system)
+    in_table[:, 2] -= [of_level[name][0, 2] if name in of_level else 0.0 for name in names]
+    return np.asarray(in_table)
 
 
 def calibration_uncertainty(
@@ -117,17 +131,8 @@ def _level_base(system: SystemCalibration) -> Float[np.ndarray, "1 3"]:
     return system.base_from_camera.apply(on_sheet)
 
 
-def _turned(points: Float[np.ndarray, "n 3"], angle_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-    """Base to table coordinates with the table at ``angle_rad``: turned about z by the negative angle."""
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    x, y, z = points.T
-    return np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
-
-
-def _base_derivatives(
-    points_base: Float[np.ndarray, "n 3"], angle_rad: Float[np.ndarray, " n"], system: SystemCalibration
-) -> Float[np.ndarray, "n 3 p"]:
-    """Derivatives of points in the base frame; those by the angle read-out turn the point about z."""
+def _by_rig(points_base: Float[np.ndarray, "n 3"], system: SystemCalibration) -> dict[str, Float[np.ndarray, "n 3"]]:
+    """Derivatives of points in the base frame by camera, sheet and axis."""
     covariance = system.covariance
     assert covariance is not None
     base_from_camera = system.base_from_camera
@@ -140,12 +145,31 @@ def _base_derivatives(
         base_from_camera.apply(np.zeros(3)),
         base_from_camera.apply(covariance.axis_pivot_camera),
     )
-    read_rad = read_angles_rad(angle_rad, system.turn_sense, system.angle_error)
-    around = -system.turn_sense * np.cross(_Z, points_base)
-    in_base |= {"angle_cos": around * np.cos(read_rad)[:, None], "angle_sin": around * np.sin(read_rad)[:, None]}
     rotation = base_from_camera.rotation.as_matrix()
-    columns = [in_base[name] if name in in_base else in_camera[name] @ rotation.T for name in covariance.names]
-    return np.stack(columns, axis=2)
+    return {name: column @ rotation.T for name, column in in_camera.items()} | in_base
+
+
+def _by_table(
+    points_base: Float[np.ndarray, "n 3"], angle_rad: Float[np.ndarray, " n"], system: SystemCalibration
+) -> dict[str, Float[np.ndarray, "n 3"]]:
+    """Derivatives by the angle read-out, and by run-out and wobble: how points fixed in space move on the table, in directions of the base frame."""
+    read_rad = read_angles_rad(angle_rad, system.turn_sense, system.angle_error)
+    motion = system.table_motion
+    moves = {}
+    around = -np.cross(_Z, points_base)
+    if motion is not None:
+        tilt, shift = axis_movement(angle_rad, motion)
+        arms = points_base - pivot_base(system, motion)
+        untilted = tilt.inv().apply(arms - shift)
+        # the table turns by one angle, shift and tilt turn back by it
+        around = np.cross(_Z, arms) - 2.0 * tilt.apply(np.cross(_Z, untilted))
+        for name, direction in (("x", (1.0, 0.0)), ("y", (0.0, 1.0))):
+            along = against_table(angle_rad, direction)
+            turn = along + 0.5 * np.cross(tilt.as_rotvec(), along)  # rotations do not commute
+            moves[f"run_out_{name}"] = -along
+            moves[f"wobble_{name}"] = -np.cross(turn, arms - shift)
+    around = system.turn_sense * around
+    return moves | {"angle_cos": around * np.cos(read_rad)[:, None], "angle_sin": around * np.sin(read_rad)[:, None]}
 
 
 def _by_camera(

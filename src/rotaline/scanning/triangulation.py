@@ -1,7 +1,8 @@
 """From stripe centres to points: viewing ray meets laser sheet, then back about the axis by the table's angle.
 
 Equations (1)-(3) and (11) of [1]_. A point of a frame taken at table angle a (right-handed about base z) has the table
-coordinates that it would have in the base frame had the table stayed at angle 0.
+coordinates that it would have in the base frame had the table stayed at angle 0, its axis where it is in the mean
+(:mod:`rotaline.scanning.table_pose`).
 
 References
 ----------
@@ -16,10 +17,10 @@ from jaxtyping import Float
 
 from rotaline.calibration.model import SystemCalibration
 from rotaline.geometry.intersect import intersect_rays_with_sheet
-from rotaline.geometry.primitives import Line, Plane, SheetCurvature
-from rotaline.geometry.transforms import rotate_about_line
+from rotaline.geometry.primitives import Plane, SheetCurvature
 from rotaline.scanning.cloud import PointCloud, read_angles_rad
 from rotaline.scanning.propagation import calibration_uncertainty
+from rotaline.scanning.table_pose import base_from_table, table_from_base
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.stripe.model import StripePoints
 
@@ -70,7 +71,6 @@ def scan_cloud(
     turned_rad = calibration.angle_error.turned_rad(angles_rad) * calibration.turn_sense
     sheet = (calibration.camera, calibration.laser_plane_camera, calibration.laser_curvature)
     base_from_camera = calibration.base_from_camera
-    base_z = Line(np.zeros(3), np.array([0.0, 0.0, 1.0]))
     eye_base = base_from_camera.apply(np.zeros(3))
     pieces: list[PointCloud] = []
     for frame, (stripe, angle) in enumerate(zip(stripes, turned_rad, strict=True)):
@@ -80,10 +80,10 @@ def scan_cloud(
             continue
         kept = stripe.select(good)
         n = len(kept)
-        eye_table = rotate_about_line(eye_base[None], base_z, -float(angle))
+        eye_table = table_from_base(eye_base[None], float(angle), calibration)
         pieces.append(
             PointCloud(
-                points_table=rotate_about_line(base_from_camera.apply(points_camera[good]), base_z, -float(angle)),
+                points_table=table_from_base(base_from_camera.apply(points_camera[good]), float(angle), calibration),
                 viewpoints_table=np.broadcast_to(eye_table, (n, 3)),
                 intensity=kept.intensity.astype(float),
                 angle_rad=np.full(n, float(angle)),
@@ -109,16 +109,15 @@ def _with_calibration(cloud: PointCloud, calibration: SystemCalibration) -> Poin
 def move_to_axis(cloud: PointCloud, old: SystemCalibration, new: SystemCalibration) -> PointCloud:
     """The same measurements as another axis would have put them.
 
-    ``new`` has the camera and the laser sheet of ``old``; axis, sense and angle error may be others.
+    ``new`` has the camera and the laser sheet of ``old``; axis, sense, angle error, run-out and wobble may be others.
     """
-    base_z = Line(np.zeros(3), np.array([0.0, 0.0, 1.0]))
     new_from_old = new.base_from_camera * old.base_from_camera.inv()
     read_rad = read_angles_rad(cloud.angle_rad, old.turn_sense, old.angle_error)
     angle_new = new.angle_error.turned_rad(read_rad) * new.turn_sense
 
     def move(points_table: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        points_base = rotate_about_line(points_table, base_z, cloud.angle_rad)
-        return rotate_about_line(new_from_old.apply(points_base), base_z, -angle_new)
+        points_base = base_from_table(points_table, cloud.angle_rad, old)
+        return table_from_base(new_from_old.apply(points_base), angle_new, new)
 
     moved = replace(
         cloud,

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotaline.calibration.model import AngleError, SystemCovariance
+from rotaline.calibration.model import AngleError, SystemCovariance, TableMotion
 from rotaline.errors import SessionError
 from rotaline.geometry.primitives import Line, Plane, SheetCurvature
 from rotaline.io.calibration_file import CalibrationFile, read_calibration, write_calibration
@@ -20,12 +20,24 @@ CONTENT = CalibrationFile(
     {"camera": {"rms_px": 0.03, "u": [float("nan")]}},
     "session",
 )
-NAMES = ("fx", "k1", "plane_turn_1", "plane_offset", "curvature_uv", "axis_turn_x", "axis_shift_y", "angle_cos")
-MIXED = np.random.default_rng(1).normal(size=(8, 8))
+NAMES = (
+    "fx",
+    "k1",
+    "plane_turn_1",
+    "plane_offset",
+    "curvature_uv",
+    "axis_turn_x",
+    "axis_shift_y",
+    "angle_cos",
+    "run_out_x",
+    "wobble_y",
+)
+MIXED = np.random.default_rng(1).normal(size=(10, 10))
 JOINT = replace(
     CONTENT,
     laser_curvature=SheetCurvature(np.array([1.0, 2.0, 170.0]), (1e-5, -2e-5, 3e-5)),
     angle_error=AngleError(1e-4, -2e-4),
+    table_motion=TableMotion((2e-3, -1e-3), (3e-5, 4e-5), np.array([1.0, 21.0, 280.0])),
     line_sigma_mm=0.08,
     stripe_blur_px=0.7,
     covariance=SystemCovariance(NAMES, MIXED @ MIXED.T, np.array([1.0, 2.0, 170.0]), np.array([1.0, 21.0, 280.0])),
@@ -61,6 +73,9 @@ def test_the_joint_estimate_comes_back_whole(tmp_path):
     assert (system.laser_curvature.origin == JOINT.laser_curvature.origin).all()
     assert system.laser_curvature.coefficients == JOINT.laser_curvature.coefficients
     assert system.angle_error == JOINT.angle_error
+    assert system.table_motion.run_out_mm == (2e-3, -1e-3)
+    assert system.table_motion.wobble_rad == (3e-5, 4e-5)
+    assert (system.table_motion.pivot_camera == [1.0, 21.0, 280.0]).all()
     assert (system.line_sigma_mm, system.stripe_blur_px) == (0.08, 0.7)
     assert system.covariance.names == NAMES
     assert (system.covariance.matrix == JOINT.covariance.matrix).all()
@@ -68,9 +83,10 @@ def test_the_joint_estimate_comes_back_whole(tmp_path):
     assert (system.covariance.axis_pivot_camera == JOINT.covariance.axis_pivot_camera).all()
 
 
-def test_the_initial_axis_has_neither_angle_error_nor_covariance():
+def test_the_initial_axis_has_neither_errors_of_the_table_nor_covariance():
     system = JOINT.system(initial_axis=True)
     assert system.covariance is None
+    assert system.table_motion is None
     assert system.angle_error == AngleError()
     assert system.laser_curvature is JOINT.laser_curvature
 
@@ -79,7 +95,7 @@ def test_other_programs_find_units_and_meanings_in_the_file(tmp_path):
     write_calibration(tmp_path / "c.json", JOINT)
     document = json.loads((tmp_path / "c.json").read_text())
     covariance, sheet = document["covariance"], document["laser_curvature"]
-    assert covariance["units"] == ["px", "1", "rad", "mm", "1/mm", "rad", "mm", "rad"]
+    assert covariance["units"] == ["px", "1", "rad", "mm", "1/mm", "rad", "mm", "rad", "mm", "rad"]
     assert all(covariance["meaning"][name] for name in NAMES)
     basis = np.array([sheet["u_direction"], sheet["v_direction"], document["laser_plane_camera"]["normal"]])
     assert basis @ basis.T == pytest.approx(np.eye(3), abs=1e-12)
@@ -89,13 +105,14 @@ def test_other_programs_find_units_and_meanings_in_the_file(tmp_path):
 def test_a_file_of_an_earlier_version_has_no_covariance(tmp_path):
     write_calibration(tmp_path / "c.json", JOINT)
     document = json.loads((tmp_path / "c.json").read_text())
-    for key in ("covariance", "laser_curvature", "angle_error"):
+    for key in ("covariance", "laser_curvature", "angle_error", "table_motion"):
         document.pop(key)
     (tmp_path / "c.json").write_text(json.dumps(document))
     system = read_calibration(tmp_path / "c.json").system()
     assert system.covariance is None
     assert system.laser_curvature is None
     assert system.angle_error == AngleError()
+    assert system.table_motion is None
 
 
 def test_pivots_that_mean_nothing_come_back_as_missing(tmp_path):
@@ -125,11 +142,13 @@ def test_a_calibration_without_an_axis_makes_no_system(tmp_path):
         (lambda d: d.update(turn_sense=0), "turn_sense"),
         (lambda d: d["laser_plane_camera"].update(normal=[1.0, 2.0]), "normal"),
         (lambda d: d["covariance"]["names"].__setitem__(0, "focus"), r"covariance\.names: found focus"),
-        (lambda d: d["covariance"]["names"].pop(), r"covariance\.matrix: .* 7 rows of 7"),
-        (lambda d: d["covariance"]["matrix"][2].pop(), r"covariance\.matrix: .* 8 rows of 8"),
+        (lambda d: d["covariance"]["names"].pop(), r"covariance\.matrix: .* 9 rows of 9"),
+        (lambda d: d["covariance"]["matrix"][2].pop(), r"covariance\.matrix: .* 10 rows of 10"),
         (lambda d: d.update(line_sigma_mm=-0.1), "line_sigma_mm: input should be greater"),
         (lambda d: d.update(laser_curvature=None), r"covariance\.names: found curvature_uv"),
         (lambda d: d["angle_error"].pop("sin"), r"angle_error\.sin"),
+        (lambda d: d.update(table_motion=None), r"covariance\.names: found run_out_x, wobble_y"),
+        (lambda d: d["table_motion"].update(wobble_rad=[1e-5]), r"table_motion\.wobble_rad"),
     ],
 )
 def test_a_wrong_field_is_named(tmp_path, change, says):

@@ -7,13 +7,14 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rotaline.calibration.model import SystemCalibration
+from rotaline.calibration.model import SystemCalibration, TableMotion
 from rotaline.geometry.intersect import intersect_rays_with_plane
 from rotaline.geometry.primitives import unit
 from rotaline.io.session_file import MeasurementRequest
 from rotaline.metrology.features import MeasureOptions
 from rotaline.metrology.line_width import moves_back
 from rotaline.pipeline.parts import measure_request
+from rotaline.scanning.table_pose import directions_base_from_table, table_from_base
 from rotaline.scanning.triangulation import scan_cloud
 from rotaline.simulation.ideal.observed_scan import trace_scan
 from rotaline.simulation.imaging.raycast import Placed
@@ -116,6 +117,24 @@ def test_points_are_moved_back_onto_the_ball(sigma_mm, blur_px):
     assert np.abs(along_normal / -off - 1.0).max() < 0.25
     plane = SYSTEM.laser_plane_camera
     assert np.abs(camera_from_table.rotation.apply(moves) @ plane.normal).max() < 1e-12
+
+
+def test_the_same_points_in_front_of_the_camera_are_moved_back_alike_whatever_the_axis_did():
+    centre = _camera_from_table().apply(CENTRE_TABLE)
+    points, _ = _points_of_the_stripe(centre)
+    base_from_camera, n = SYSTEM.base_from_camera, len(points)
+    outward_base = base_from_camera.rotation.apply((points - centre) / RADIUS)
+    angles = ANGLE_RAD + np.arange(n)
+    moves_base = []
+    for motion in (None, TableMotion((0.5, -0.3), (0.02, 0.03), RIG.rotation_axis_camera.point)):
+        system = replace(SYSTEM, line_sigma_mm=0.15, stripe_blur_px=0.5, table_motion=motion)
+        rotation = directions_base_from_table(angles, system)
+        points_table = table_from_base(base_from_camera.apply(points), angles, system)
+        normals_table = rotation.inv().apply(outward_base)
+        moves = moves_back(points_table, angles, normals_table, np.full(n, 1.0 / RADIUS), np.zeros((n, 3)), system)
+        moves_base.append(rotation.apply(moves))
+    assert np.abs(moves_base[0]).max() > 1e-3
+    assert moves_base[1] == pytest.approx(moves_base[0], abs=1e-10)
 
 
 def _measured(part, feature, nominal, system):

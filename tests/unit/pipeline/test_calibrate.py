@@ -8,7 +8,7 @@ import pytest
 
 from rotaline.calibration.artifact import SENSE_ASSUMED
 from rotaline.calibration.joint.model import EstimatedQuantity, JointCalibration, JointMount, ResidualGroup
-from rotaline.calibration.model import AngleError, SystemCovariance
+from rotaline.calibration.model import AngleError, SystemCovariance, TableMotion
 from rotaline.calibration.observations import SessionObservations
 from rotaline.errors import CalibrationError
 from rotaline.geometry.primitives import KnownSphere, Line, SheetCurvature
@@ -88,6 +88,7 @@ def joint_of(observations, start, options):
         converged=True,
         seconds=1.0,
         warnings=("something to know",),
+        table_motion=TableMotion((2e-3, 0.0), (0.0, 3e-5), zero),
     )
 
 
@@ -123,6 +124,7 @@ def test_the_joint_estimate_starts_from_the_stages_and_ends_the_calibration(seen
     assert system.camera.fx == parts.camera_model.fx == 1500.0
     assert (system.covariance, system.laser_curvature) == (joint.covariance, joint.laser_curvature)
     assert system.angle_error == AngleError(1e-4, 0.0)
+    assert system.table_motion is joint.table_motion is not None
     assert parts.system_initial.camera == parts.camera.camera
     assert parts.system_initial.covariance is None
     assert [(w.stage, w.text, w.serious) for w in parts.warnings] == [("joint", "something to know", False)]

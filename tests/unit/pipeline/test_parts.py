@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from rotaline.calibration.model import AngleError, SystemCalibration, SystemCovariance
+from rotaline.calibration.model import AngleError, SystemCalibration, SystemCovariance, TableMotion
 from rotaline.geometry.primitives import KnownCylinder, KnownSphere, Line, Plane, SheetCurvature, SteppedCylinder, unit
 from rotaline.io.results import MeasurementEntry
 from rotaline.metrology.model import FeatureMeasurement
@@ -26,6 +26,7 @@ SYSTEM = SystemCalibration(
     table_seen=True,
     laser_curvature=SheetCurvature(AXIS.point, (1e-4, 0.0, 0.0)),
     angle_error=AngleError(1e-3, 0.0),
+    table_motion=TableMotion((2e-3, 0.0), (0.0, 3e-5), AXIS.point),
     covariance=SystemCovariance(NAMES, np.diag([1.0, 1e-4, 1e-4, 1e-8]), AXIS.point, AXIS.point),
 )
 
@@ -72,6 +73,7 @@ def test_another_origin_leaves_all_that_was_calibrated():
     for system in placed:
         assert system.laser_curvature is SYSTEM.laser_curvature
         assert system.angle_error == SYSTEM.angle_error
+        assert system.table_motion is SYSTEM.table_motion
         assert system.covariance is SYSTEM.covariance
         assert AXIS.distance_to(system.rotation_axis_camera.point[None])[0] < 1e-9
     assert not placed[0].table_seen

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rotaline.calibration.model import AngleError, SystemCalibration, SystemCovariance
+from rotaline.calibration.model import AngleError, SystemCalibration, SystemCovariance, TableMotion
 from rotaline.errors import GeometryError
 from rotaline.geometry.fitting import across
 from rotaline.geometry.primitives import Line, Plane, SheetCurvature, unit
@@ -19,6 +19,7 @@ NORMAL = unit(np.array([0.8, -0.3, 0.5]))
 PLANE = Plane(NORMAL, float(-NORMAL @ (AXIS.point + np.array([1.5, 0.0, 0.0]))))
 CURVATURE = SheetCurvature(AXIS.point + 10 * AXIS.direction, (1e-4, -3e-5, 5e-5))
 ANGLE_ERROR = AngleError(3e-3, -2e-3)
+MOTION = TableMotion((0.02, -0.01), (2e-4, 3e-4), AXIS.point + 7.0 * AXIS.direction)
 STEPS = {
     **dict.fromkeys(("fx", "fy", "cx", "cy"), 1e-2),
     "k1": 1e-3,
@@ -28,16 +29,22 @@ STEPS = {
     **dict.fromkeys(("plane_offset", "axis_shift_x", "axis_shift_y"), 1e-3),
 }
 CURVED_STEPS = dict.fromkeys(("curvature_uu", "curvature_uv", "curvature_vv"), 1e-6)
+MOTION_STEPS = {"run_out_x": 1e-3, "run_out_y": 1e-3, "wobble_x": 1e-4, "wobble_y": 1e-4}
 READ_RAD = np.array([0.0, 0.9, 2.5, 4.4])
 
 
-def _system(sense=1, curved=False, angle_error=ANGLE_ERROR, matrix=None):
-    steps = STEPS | (CURVED_STEPS if curved else {})
+def _steps(curved, motion):
+    return STEPS | (CURVED_STEPS if curved else {}) | (MOTION_STEPS if motion else {})
+
+
+def _system(sense=1, curved=False, angle_error=ANGLE_ERROR, matrix=None, motion=None):
+    steps = _steps(curved, motion)
     matrix = np.diag(np.square(list(steps.values()))) if matrix is None else matrix
     covariance = SystemCovariance(
         tuple(steps), matrix, AXIS.point + np.array([3.0, -2.0, 1.0]), AXIS.point + 7.0 * AXIS.direction
     )
-    return SystemCalibration(CAMERA, PLANE, AXIS, sense, True, CURVATURE if curved else None, angle_error, covariance)
+    curvature = CURVATURE if curved else None
+    return SystemCalibration(CAMERA, PLANE, AXIS, sense, True, curvature, angle_error, motion, covariance)
 
 
 def _changed(system, name, step):
@@ -55,6 +62,11 @@ def _changed(system, name, step):
         coefficients = np.array(system.laser_curvature.coefficients)
         coefficients[("uu", "uv", "vv").index(which)] += step
         return replace(system, laser_curvature=replace(system.laser_curvature, coefficients=tuple(coefficients)))
+    if kind in ("run_out", "wobble"):
+        key = "run_out_mm" if kind == "run_out" else "wobble_rad"
+        values = np.array(getattr(system.table_motion, key))
+        values["xy".index(which)] += step
+        return replace(system, table_motion=replace(system.table_motion, **{key: (float(values[0]), float(values[1]))}))
     if kind.startswith("plane"):
         turn = across(plane.normal)[int(which) - 1] * step if kind == "plane_turn" else np.zeros(3)
         offset = plane.offset - turn @ covariance.plane_pivot_camera + (step if kind == "plane" else 0.0)
@@ -63,8 +75,12 @@ def _changed(system, name, step):
     directions = system.base_from_camera.rotation.as_matrix()["xy".index(which)] * step
     turn = Rotation.from_rotvec(directions if kind == "axis_turn" else np.zeros(3))
     pivot = covariance.axis_pivot_camera
-    point = turn.apply(axis.point - pivot) + pivot + (directions if kind == "axis_shift" else 0.0)
-    return replace(system, rotation_axis_camera=Line(point, turn.apply(axis.direction)))
+    shift = directions if kind == "axis_shift" else np.zeros(3)
+    motion = system.table_motion
+    if motion is not None:  # its pivot is the same point of the axis
+        motion = replace(motion, pivot_camera=motion.pivot_camera + shift)
+    point = turn.apply(axis.point - pivot) + pivot + shift
+    return replace(system, rotation_axis_camera=Line(point, turn.apply(axis.direction)), table_motion=motion)
 
 
 def _stripes():
@@ -92,15 +108,16 @@ def _scan_of_changed(system, name, step):
     return scan_cloud(_stripes(), READ_RAD, placed).points_table
 
 
+@pytest.mark.parametrize("motion", [None, MOTION], ids=["steady axis", "moving axis"])
 @pytest.mark.parametrize("angle_error", [AngleError(), ANGLE_ERROR], ids=["exact angles", "angle error"])
 @pytest.mark.parametrize("curved", [False, True], ids=["flat", "curved"])
 @pytest.mark.parametrize("sense", [1, -1])
-def test_every_derivative_is_that_of_the_whole_scan(sense, curved, angle_error):
-    system = _system(sense, curved, angle_error)
+def test_every_derivative_is_that_of_the_whole_scan(sense, curved, angle_error, motion):
+    system = _system(sense, curved, angle_error, motion=motion)
     cloud = scan_cloud(_stripes(), READ_RAD, system)
     jacobian = point_sensitivities(cloud.points_table, cloud.angle_rad, system)
     for k, name in enumerate(system.covariance.names):
-        step = {**STEPS, **CURVED_STEPS}[name]
+        step = _steps(True, True)[name]
         ahead, behind = (_scan_of_changed(system, name, sign * step) for sign in (1, -1))
         expected = (ahead - behind) / (2 * step)
         assert np.abs(expected).max() > 0
@@ -113,9 +130,9 @@ def test_every_derivative_is_that_of_the_whole_scan(sense, curved, angle_error):
 def test_the_scatter_of_scans_with_calibrations_drawn_from_the_covariance_is_the_predicted_one(curved):
     """Points, and a quantity that depends on all of them, with correlated errors of the size of a real calibration."""
     rng = np.random.default_rng(8)
-    steps = np.array(list((STEPS | (CURVED_STEPS if curved else {})).values()))
+    steps = np.array(list(_steps(curved, MOTION).values()))
     mixing = steps[:, None] * rng.normal(size=(len(steps), len(steps)))
-    system = _system(-1, curved, ANGLE_ERROR, mixing @ mixing.T)
+    system = _system(-1, curved, ANGLE_ERROR, mixing @ mixing.T, MOTION)
     cloud = scan_cloud(_stripes(), READ_RAD, system)
     u = calibration_uncertainty(cloud.points_table, cloud.angle_rad, system)
     assert cloud.u_calibration_mm == pytest.approx(u, rel=1e-12)

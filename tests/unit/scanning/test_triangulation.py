@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotaline.calibration.model import AngleError, SystemCalibration
+from rotaline.calibration.model import AngleError, SystemCalibration, TableMotion
 from rotaline.geometry.primitives import Line, Plane, SheetCurvature, unit
 from rotaline.geometry.transforms import rotate_about_line
 from rotaline.scanning.cloud import read_angles_rad
@@ -106,15 +106,18 @@ def test_a_curved_sheet_gives_other_points_and_their_uncertainty():
     assert cloud.u_mm == pytest.approx(0.05 * np.linalg.norm(ahead - behind, axis=1))
 
 
+MOTION = TableMotion((0.02, -0.03), (2e-4, 3e-4), AXIS.point)
+
+
 @pytest.mark.parametrize(
-    ("old_error", "new_error"),
+    ("old_error", "new_error", "old_motion", "new_motion"),
     [
-        (AngleError(), AngleError()),
-        (AngleError(4e-3, 3e-3), AngleError()),
-        (AngleError(0.0, 2e-3), AngleError(1e-3, 0.0)),
+        (AngleError(), AngleError(), None, None),
+        (AngleError(4e-3, 3e-3), AngleError(), MOTION, None),
+        (AngleError(0.0, 2e-3), AngleError(1e-3, 0.0), None, MOTION),
     ],
 )
-def test_moving_a_cloud_to_another_axis_is_scanning_with_that_axis(old_error, new_error):
+def test_moving_a_cloud_to_another_axis_is_scanning_with_that_axis(old_error, new_error, old_motion, new_motion):
     rng = np.random.default_rng(2)
     _, uv = _seen(AXIS.point + rng.normal(0, 8, (20, 3)))
     stripes, angles = [_stripe(uv), _stripe(uv)], np.array([0.3, 4.0])
@@ -125,8 +128,9 @@ def test_moving_a_cloud_to_another_axis_is_scanning_with_that_axis(old_error, ne
         -1,
         table_seen=False,
         angle_error=new_error,
+        table_motion=new_motion,
     )
-    old = replace(_system(1), angle_error=old_error)
+    old = replace(_system(1), angle_error=old_error, table_motion=old_motion)
     direct = scan_cloud(stripes, angles, other)
     moved = move_to_axis(scan_cloud(stripes, angles, old), old, other)
     assert moved.points_table == pytest.approx(direct.points_table, abs=1e-9)

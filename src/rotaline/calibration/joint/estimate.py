@@ -76,12 +76,8 @@ def estimate_jointly(
     """
     began = time.perf_counter()
     options = options or JointOptions()
-    data = in_one_order(gather(observations, start), start)
-    state = start_state(observations, start, data)
-    setting = Setting(data, start.camera.parameter_names, state.artifacts, observations.image_size)
-    layout = _base_layout(setting, state)
-    band = _start_band(state.artifacts)
-    found = iterate(setting, layout, state, start_noise(data), band, rough=True)
+    setting, layout, state, noise, band = begin(observations, start)
+    found = iterate(setting, layout, state, noise, band, rough=True)
     _require(setting, found)
     n_iterations = found.n_iterations
     state, noise = found.state, found.noise
@@ -101,6 +97,14 @@ def estimate_jointly(
         n_iterations += more
     result = to_result(setting, found, start, optional, n_iterations)
     return replace(result, seconds=time.perf_counter() - began)
+
+
+def begin(observations: SessionObservations, start: JointStart) -> tuple[Setting, Layout, State, Noise, float]:
+    """Observations, parameters and values at the start, the noise that is assumed, and how far from its surface a stripe point may be (mm)."""
+    data = in_one_order(gather(observations, start), start)
+    state = start_state(observations, start, data)
+    setting = Setting(data, start.camera.parameter_names, state.artifacts, observations.image_size)
+    return setting, _base_layout(setting, state), state, start_noise(data), _start_band(state.artifacts)
 
 
 def _with_optional(setting: Setting, found: Iterated) -> tuple[Setting, Iterated, tuple[OptionalParameters, ...], int]:
@@ -191,7 +195,7 @@ def _require(setting: Setting, found: Iterated) -> None:
         n = sum(len(m.surface) for m in mine if m is not None)
         if n < 50:
             raise CalibrationError(
-                f"{name}: only {n} stripe points lie on the surfaces of the artefact. Check its sizes in session.toml."
+                f"{name}: hardly any stripe points ({n} of every fourth) lie on the surfaces of the artefact. Check its sizes in session.toml."
             )
     if not np.isfinite(found.solution.squares):
         raise CalibrationError("The joint estimate did not settle.")

@@ -140,10 +140,12 @@ def iterate(
             noise = _learn(setting.data, noise, frames, effects.n_fitted, with_correlation=thin == 1)
             frames = tuple(_weighted(f.rows, f.raw, f.cleaned, noise, f.mount) for f in frames)
         triangles = _press_all(setting, layout, state, noise, frames)
-        steady = False
+        known, steady = effects is not None, False
         for _ in range(_MAX_VARIANCE_ROUNDS):
             eliminated = eliminate(triangles, layout)
             solution, effects, _ = solve_all(setting, layout, state, noise, frames, triangles, eliminated, prints)
+            if not known:  # the scales are not learnt yet: they would swallow the errors of the frames
+                break
             last, noise = noise, _learn_variances(setting.data, noise, solution)
             steady = bool(np.all(np.abs(np.log(np.maximum(noise.table, 1e-8) / np.maximum(last.table, 1e-8))) < 0.1))
             if steady:
@@ -218,7 +220,7 @@ def _count_fitted(
     for k, (frame, variances) in enumerate(zip(frames, solution.own_variances, strict=True)):
         if not len(frame.rows.group):
             continue
-        prior = noise.local_prior(len(variances), k >= len(data.plates))
+        prior = noise.local_prior(len(variances), k - len(data.plates))
         shares = np.clip(1.0 - variances * prior**2, 0.0, 1.0)
         fitted[frame.rows.group[0]] += float(shares[:6].sum())
         fitted[frame.rows.group[-1]] += float(shares[6:].sum())
@@ -308,15 +310,15 @@ def _press_all(
     triangles = []
     for k, (frame, weights) in enumerate(zip(frames, row_weights(setting, noise, frames, final), strict=True)):
         on_table = k >= len(data.plates)
-        prior = noise.local_prior(frame.rows.local.shape[1], on_table)
-        triangles.append(press(frame.rows, weights, _motions(data, layout, state, k) if on_table else {}, prior))
+        prior = noise.local_prior(frame.rows.local.shape[1], k - len(data.plates))
+        triangles.append(press(frame.rows, weights, frame_motions(data, layout, state, k) if on_table else {}, prior))
     return tuple(triangles)
 
 
 def _with_priors(setting: Setting, noise: Noise, triangles: Sequence[Triangle]) -> tuple[Triangle, ...]:
     """The same rows with other variances of the frames' own errors."""
     first = len(setting.data.plates)
-    return tuple(replace(t, prior=noise.local_prior(t.local.shape[1], k >= first)) for k, t in enumerate(triangles))
+    return tuple(replace(t, prior=noise.local_prior(t.local.shape[1], k - first)) for k, t in enumerate(triangles))
 
 
 def row_weights(
@@ -342,7 +344,7 @@ def row_weights(
     return tuple(out)
 
 
-def _motions(data: JointData, layout: Layout, state: State, k: int) -> dict[str, Float[np.ndarray, "6 _"]]:
+def frame_motions(data: JointData, layout: Layout, state: State, k: int) -> dict[str, Float[np.ndarray, "6 _"]]:
     """How the global parameters move frame k, which stands on the table."""
     j = k - len(data.plates)
     if j < len(data.tables):

@@ -24,6 +24,7 @@ KEPT = 0.1
 """Points with a smaller robust weight are outliers (beyond 12 standard deviations)."""
 _MAX_LAG = 60
 _RUN = 24
+_FAR = 10.0
 _MUCH = 4.0
 _LEAST_SIGMA = 1e-9
 
@@ -40,6 +41,7 @@ class Noise:
     plate_mm : of the surface of a plate off the plane of its points
     print_mm : (t,)   of the places of a target's points, along x and y
     freedom : (g,)   by how much the noise is larger than the residuals, because parameters have been fitted to these; empty before that is known
+    table_weight : (t,)   of what is known beforehand of each frame on the table, see :func:`frame_weights`; empty before that is known
     frame : (f,)   by how much the stripe of a frame errs more than those of the other frames of its group, >= 1; empty before that is known
     """
 
@@ -48,13 +50,18 @@ class Noise:
     table: Float[np.ndarray, "4"] = field(default_factory=lambda: np.array([1e-3, 3e-2, 1e-2, 3e-4]))
     plate_mm: float = 2e-2
     print_mm: Float[np.ndarray, " t"] = field(default_factory=lambda: np.zeros(0))
+    table_weight: Float[np.ndarray, " n"] = field(default_factory=lambda: np.ones(0))
     freedom: Float[np.ndarray, " h"] = field(default_factory=lambda: np.ones(0))
     frame: Float[np.ndarray, " f"] = field(default_factory=lambda: np.ones(0))
 
-    def local_prior(self, n_local: int, on_table: bool) -> Float[np.ndarray, " l"]:
-        """One over the standard deviation of each of a frame's own parameters; 0 where nothing is known beforehand."""
-        if on_table:
-            return 1.0 / np.maximum(self.table[TABLE_CLASSES], _LEAST_SIGMA)
+    def local_prior(self, n_local: int, number: int) -> Float[np.ndarray, " l"]:
+        """One over the standard deviation of each of a frame's own parameters; 0 where nothing is known beforehand.
+
+        ``number`` counts the frames on the table; a negative one stands for a plate.
+        """
+        if number >= 0:
+            weight = self.table_weight[number] if len(self.table_weight) else 1.0
+            return np.sqrt(weight) / np.maximum(self.table[TABLE_CLASSES], _LEAST_SIGMA)
         return np.concatenate([np.zeros(6), np.full(n_local - 6, 1.0 / max(self.plate_mm, _LEAST_SIGMA))])
 
 
@@ -133,26 +140,39 @@ def update_variances(
     plate_variances: Float[np.ndarray, "v 3"],
 ) -> Noise:
     """Standard deviations of the frames' own errors, from what was found in each frame and how well that is known [2]_."""
+    everywhere, weights = np.ones(len(plate_means)), frame_weights(noise, table_means)
     table = noise.table.copy()
     for c in range(len(TABLE_ERRORS)):
         mine = c == TABLE_CLASSES
-        table[c] = _updated(table[c], table_means[:, mine], table_variances[:, mine])
-    plate = _updated(noise.plate_mm, plate_means, plate_variances)
-    return replace(noise, table=table, plate_mm=plate)
+        table[c] = _updated(table[c], table_means[:, mine], table_variances[:, mine], weights)
+    plate = _updated(noise.plate_mm, plate_means, plate_variances, everywhere)
+    return replace(noise, table=table, plate_mm=plate, table_weight=weights)
 
 
-def determined(sigma: float, variances: Float[np.ndarray, "f k"]) -> float:
+def determined(sigma: float, variances: Float[np.ndarray, "..."]) -> float:
     """How many of the frames' errors the data determine: each counts by the part that is not from the prior."""
     return float(np.sum(np.clip(1.0 - variances / max(sigma, _LEAST_SIGMA) ** 2, 0.0, 1.0)))
 
 
-def _updated(sigma: float, means: Float[np.ndarray, "f k"], variances: Float[np.ndarray, "f k"]) -> float:
+def frame_weights(noise: Noise, table_means: Float[np.ndarray, "f 6"]) -> Float[np.ndarray, " f"]:
+    """How much a frame's own errors are like those of the others: robust weights of what is known of them beforehand.
+
+    A frame whose table stood elsewhere (a wrong angle, a part that was pushed) is so given up by itself, and does not pull at the rest.
+    """
+    largest = np.max(np.abs(table_means) / np.maximum(noise.table[TABLE_CLASSES], _LEAST_SIGMA), axis=1, initial=0.0)
+    return np.asarray(1.0 / (1.0 + (largest / _FAR) ** 2))
+
+
+def _updated(
+    sigma: float, means: Float[np.ndarray, "f k"], variances: Float[np.ndarray, "f k"], weights: Float[np.ndarray, " f"]
+) -> float:
     """Half a step of expectation-maximisation, half one of MacKay's: the first cannot fail, the second is fast."""
     if means.size == 0:
         return sigma
-    expected = float(np.mean(means**2 + variances))
-    gamma = determined(sigma, variances)
-    if gamma < 1.0:
+    w = weights[:, None]
+    expected = float(np.sum(w * (means**2 + variances)) / np.sum(w * np.ones_like(means)))
+    shares = np.clip(1.0 - variances * w / max(sigma, _LEAST_SIGMA) ** 2, 0.0, 1.0)
+    if float(np.sum(shares)) < 1.0:
         return sigma
-    fast = float(np.sum(means**2)) / gamma
+    fast = float(np.sum(w * means**2)) / float(np.sum(shares))
     return float(np.sqrt(np.clip(fast, 0.1 * expected, 4.0 * expected)))

@@ -150,6 +150,6 @@ def test_how_many_errors_the_data_determine():
 def test_priors_of_a_frame_are_in_the_order_of_its_motion():
     noise = Noise(np.ones(1), np.ones(1), table=np.array([1e-4, 2e-3, 3e-3, 4e-5]), plate_mm=0.01)
     assert TABLE_ERRORS == ("angle", "run-out", "lift", "wobble")
-    on_table = 1.0 / noise.local_prior(6, on_table=True)
+    on_table = 1.0 / noise.local_prior(6, 0)
     assert on_table == pytest.approx([4e-5, 4e-5, 1e-4, 2e-3, 2e-3, 3e-3])
-    assert noise.local_prior(9, on_table=False) == pytest.approx([0] * 6 + [100.0] * 3)
+    assert noise.local_prior(9, -1) == pytest.approx([0] * 6 + [100.0] * 3)
