@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import least_squares
 
-from rotaline.calibration.joint import estimate, iterate
+from rotaline.calibration.joint import estimate, iterate, linear
 from rotaline.calibration.joint.model import JointCalibration, JointStart
 from rotaline.calibration.joint.noise import CAUCHY, Noise
 from rotaline.calibration.joint.rows import plate_pivot
@@ -84,20 +84,20 @@ def _general(observations: SessionObservations, start: JointStart, noise: Noise)
     """Seconds and iterations of scipy's robust sparse solver from the same start, with the noise that the joint estimate found."""
     setting, layout, state, _, band = estimate.begin(observations, start)
     data = setting.data
-    pivots = [iterate.board_pivot(data, b) for b in range(data.n_boards)]
+    pivots = [linear.board_pivot(data, b) for b in range(data.n_boards)]
     plate_pivots = [plate_pivot(state, f, p) for f, p in zip(data.plates, state.plates, strict=True)]
     priors = [noise.local_prior(9 if f.stripe is not None else 6, -1) for f in data.plates]
     priors += [noise.local_prior(6, 0)] * (len(data.tables) + len(data.mount_frames))
     ends = np.cumsum([layout.size, *(len(p) for p in priors)])
     places = [slice(a, b) for a, b in pairwise(ends)]
     assigned = [
-        f.mount.chosen for f in iterate.linearise(setting, state, noise, band, None, {}, 1) if f.mount is not None
+        f.mount.chosen for f in linear.linearise(setting, state, noise, band, None, {}, 1) if f.mount is not None
     ]
 
-    def at(x: np.ndarray) -> tuple[State, tuple[iterate.FrameResiduals, ...]]:
+    def at(x: np.ndarray) -> tuple[State, tuple[linear.FrameResiduals, ...]]:
         steps = {k: (x[places[k]][:6], plate_pivots[k]) for k in range(len(data.plates))}
         moved = state.after(layout, x[: layout.size], setting.camera_names, steps, pivots, data.artifact_groups)
-        return moved, iterate.linearise(setting, moved, noise, 10 * band, None, {}, 1)
+        return moved, linear.linearise(setting, moved, noise, 10 * band, None, {}, 1)
 
     def rows(x: np.ndarray) -> tuple[list[np.ndarray], list[tuple[np.ndarray, np.ndarray]]]:
         moved, frames = at(x)
@@ -110,7 +110,7 @@ def _general(observations: SessionObservations, start: JointStart, noise: Noise)
             for name, columns in r.common.items():
                 if name in layout:
                     shared[:, layout.of(name)] += columns
-            for name, motion in (iterate.frame_motions(data, layout, moved, k) if on_table else {}).items():
+            for name, motion in (linear.frame_motions(data, layout, moved, k) if on_table else {}).items():
                 if name in layout:
                     shared[:, layout.of(name)] += r.local[:, :6] @ motion
             random = slice(0 if on_table else 6, None)

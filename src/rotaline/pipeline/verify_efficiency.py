@@ -14,7 +14,8 @@ from jaxtyping import Float
 
 from rotaline.calibration.joint.begin import in_one_order, start_noise, start_state
 from rotaline.calibration.joint.data import JointData, gather
-from rotaline.calibration.joint.iterate import FrameResiduals, Setting, board_pivot, iterate, linearise, prior_rows
+from rotaline.calibration.joint.iterate import iterate
+from rotaline.calibration.joint.linear import FrameResiduals, Setting, board_pivot, linearise, prior_rows
 from rotaline.calibration.joint.model import JointCalibration, JointStart
 from rotaline.calibration.joint.solve import eliminate, press, solve
 from rotaline.calibration.joint.state import Layout, State, table_motions

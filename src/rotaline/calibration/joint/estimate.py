@@ -21,8 +21,9 @@ import numpy as np
 
 from rotaline.calibration.joint.begin import in_one_order, start_noise, start_state
 from rotaline.calibration.joint.data import gather
-from rotaline.calibration.joint.iterate import Iterated, Setting, iterate, prior_rows, row_weights
+from rotaline.calibration.joint.iterate import Iterated, iterate
 from rotaline.calibration.joint.line_width import line_and_blur
+from rotaline.calibration.joint.linear import Setting, prior_rows, row_weights
 from rotaline.calibration.joint.model import JointCalibration, JointStart, OptionalParameters
 from rotaline.calibration.joint.noise import Noise
 from rotaline.calibration.joint.optional import CHANCE, Assessment, assess, candidates, described, likely_size

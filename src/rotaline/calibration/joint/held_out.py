@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from rotaline.calibration.joint.iterate import FrameResiduals, Iterated, Setting, prior_rows
+from rotaline.calibration.joint.iterate import Iterated
+from rotaline.calibration.joint.linear import FrameResiduals, Setting, prior_rows
 from rotaline.calibration.joint.noise import KEPT
 from rotaline.calibration.joint.solve import global_factor, solve_factor
 from rotaline.calibration.joint.state import Layout

@@ -13,7 +13,8 @@ from jaxtyping import Float
 from scipy import stats
 
 from rotaline.calibration.joint.data import JointData
-from rotaline.calibration.joint.iterate import VAGUE, Iterated, Setting, prior_rows, row_weights
+from rotaline.calibration.joint.iterate import Iterated
+from rotaline.calibration.joint.linear import VAGUE, Setting, prior_rows, row_weights
 from rotaline.calibration.joint.model import OptionalParameters
 from rotaline.calibration.joint.print_errors import information_with_print_errors, print_model
 from rotaline.calibration.joint.solve import eliminate, global_factor, solve_factor

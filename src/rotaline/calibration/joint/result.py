@@ -8,7 +8,8 @@ from jaxtyping import Float
 
 from rotaline.calibration.joint.data import MountFrame, TableFrame
 from rotaline.calibration.joint.held_out import HeldOut, held_out
-from rotaline.calibration.joint.iterate import FrameResiduals, Iterated, Setting
+from rotaline.calibration.joint.iterate import Iterated
+from rotaline.calibration.joint.linear import FrameResiduals, Setting
 from rotaline.calibration.joint.model import (
     EstimatedQuantity,
     JointCalibration,

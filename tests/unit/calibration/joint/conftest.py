@@ -8,7 +8,8 @@ import pytest
 from rotaline.calibration.intrinsics import CameraOptions, calibrate_camera
 from rotaline.calibration.joint.begin import in_one_order, start_noise, start_state
 from rotaline.calibration.joint.data import JointData, gather
-from rotaline.calibration.joint.iterate import Setting, board_pivot, iterate
+from rotaline.calibration.joint.iterate import iterate
+from rotaline.calibration.joint.linear import Setting, board_pivot
 from rotaline.calibration.joint.model import JointStart
 from rotaline.calibration.joint.state import Layout, State, n_mount_parameters
 from rotaline.calibration.joint.surfaces import size_names

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotaline.calibration.joint.iterate import prior_rows, row_weights
+from rotaline.calibration.joint.linear import prior_rows, row_weights
 from rotaline.calibration.joint.print_errors import (
     PrintView,
     information_with_print_errors,

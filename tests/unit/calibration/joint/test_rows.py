@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rotaline.calibration.joint.iterate import board_pivot
+from rotaline.calibration.joint.linear import board_pivot
 from rotaline.calibration.joint.rows import mount_rows, plate_pivot, plate_rows, table_rows
 from rotaline.calibration.joint.state import Rigid, table_motions
 from rotaline.calibration.model import AngleError
