@@ -21,7 +21,6 @@ from rotaline.calibration.model import (
 from rotaline.calibration.observations import SessionObservations
 from rotaline.calibration.rotation_axis import calibrate_axis
 from rotaline.calibration.stripe_on_board import StripeView
-from rotaline.calibration.verdict.model import Verdict
 from rotaline.geometry.primitives import Line, Plane
 from rotaline.io.report.contents import StageWarning
 from rotaline.io.session import Session
@@ -56,7 +55,6 @@ class CalibrationParts:
     system: SystemCalibration | None = None
     system_initial: SystemCalibration | None = None
     warnings: tuple[StageWarning, ...] = ()
-    verdict: Verdict | None = None
 
     @property
     def camera_model(self) -> CameraModel | None:

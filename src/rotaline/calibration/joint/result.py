@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from rotaline.calibration.joint.data import MountFrame, TableFrame
 from rotaline.calibration.joint.held_out import HeldOut, held_out
-from rotaline.calibration.joint.iterate import Iterated
+from rotaline.calibration.joint.iterate import MAX_ITERATIONS, Iterated
 from rotaline.calibration.joint.linear import FrameResiduals, Setting
 from rotaline.calibration.joint.model import (
     EstimatedQuantity,
@@ -37,6 +37,12 @@ _SLOT_NAMES = {
     "run-out": ("run_out_x", "run_out_y"),
     "wobble": ("wobble_x", "wobble_y"),
 }
+
+
+_NOT_SETTLED = (
+    f"The joint estimate did not settle in {MAX_ITERATIONS} iterations: its uncertainties are not to be relied on. Look at the verdict for what "
+    "contradicts what, and calibrate with --method article to see how far the stages agree."
+)
 
 
 def slot_values(state: State, slot: str, artifact_groups: Sequence[int]) -> Float[np.ndarray, " k"]:
@@ -89,7 +95,7 @@ def to_result(
         n_iterations=n_iterations,
         converged=found.converged,
         seconds=0.0,
-        warnings=(),
+        warnings=() if found.converged else (_NOT_SETTLED,),
         line_sigma_mm=float(np.sqrt(max(state.line_variance, 0.0))),
         stripe_blur_px=state.stripe_blur_px,
         table_motion=_table_motion(state, turn),
