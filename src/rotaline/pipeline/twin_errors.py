@@ -136,7 +136,8 @@ def measure_scans(
     """Clouds of the scans, z = 0 on the table as they show it, and the features in them."""
     wanted = {r.capture for r in requests}
     captures = {name: (scan.stripes, scan.angles_rad) for name, scan in scans.items() if name in wanted}
-    exact = replace(system_at_optical_axis(system), covariance=None)
+    # traced stripes are images of the middle of the sheet: neither the width of the line nor the blur has shifted them
+    exact = replace(system_at_optical_axis(system), covariance=None, line_sigma_mm=0.0, stripe_blur_px=0.0)
     placed = place_on_table(exact, [scan_cloud(*capture, exact) for capture in captures.values()])
     final = replace(placed, covariance=system.covariance)
     clouds = {name: scan_cloud(*capture, final) for name, capture in captures.items()}
