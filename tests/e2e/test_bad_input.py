@@ -419,7 +419,10 @@ def test_an_interrupted_run_goes_on_where_it_stopped(moment, fresh, calibrated, 
 
 def test_a_real_interrupt_ends_the_process_without_a_stack_trace(fresh):
     with subprocess.Popen(
-        [sys.executable, "-m", "rotaline.cli", "calibrate", str(fresh.session)], stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "rotaline.cli", "calibrate", str(fresh.session)],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background shell has it ignored
     ) as process:
         assert process.stderr is not None
         first = process.stderr.readline()  # the first stage has begun
