@@ -338,11 +338,16 @@ class Run:
         return cloud
 
     def _placed(self, system: SystemCalibration) -> SystemCalibration:
-        """The system with z = 0 on the table, as the session's own captures show it."""
+        """The system with z = 0 on the table, as the artefacts' captures show it, else the scans."""
         system = system_at_optical_axis(system)
-        stripes = [stored_stripes(c, self._options, self._store, self._observer)[0] for c in self._scanned()]
         exact = replace(system, covariance=None)
-        return place_on_table(system, [make_cloud(s, exact, self._options.scan) for s in stripes])
+        for artifacts in (True, False):
+            captures = [c for c in self._scanned() if (c.role == "artifact") == artifacts]
+            stripes = [stored_stripes(c, self._options, self._store, self._observer)[0] for c in captures]
+            system = place_on_table(system, [make_cloud(s, exact, self._options.scan) for s in stripes])
+            if system.table_seen:
+                break
+        return system
 
     def _measure_all(
         self,
