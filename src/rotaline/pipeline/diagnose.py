@@ -53,6 +53,11 @@ def unreadable_session(problems: Sequence[Problem]) -> Verdict:
 
 
 def _stored(folder: Path) -> Verdict:
+    if not folder.is_dir():
+        found = "this is a file" if folder.exists() else "there is no such folder"
+        raise SessionError(
+            f"{folder}: {found}. Expected a session (a folder with {SESSION_FILE}) or the results of `rotaline run`."
+        )
     if (folder / VERDICT_FILE).is_file():
         return read_verdict(folder / VERDICT_FILE)
     if (folder / "calibration.json").is_file():

@@ -90,13 +90,6 @@ def trace_twin(
     return TracedTwin(rig, plan, ideal)
 
 
-def observe_session(
-    rig: Rig, plan: SessionPlan, target_px: float, stripe_px: float, seed: int, *, spacing_px: float = 1.0
-) -> TwinSession:
-    """One noisy realisation of a plan; see :meth:`TracedTwin.observed`."""
-    return trace_twin(rig, plan, spacing_px=spacing_px).observed(target_px, stripe_px, seed)
-
-
 @dataclass(frozen=True, eq=False)
 class _Observed:
     """The frames of one capture, under the names of a session folder."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotaline.pipeline.twin import observe_session, trace_twin
+from rotaline.pipeline.twin import trace_twin
 from rotaline.simulation.rig import build_rig
 from rotaline.simulation.small_session import CHECKERBOARD, STEPPED_CYLINDER, small_plan
 
@@ -58,7 +58,7 @@ def test_the_noise_is_that_of_the_seed_and_has_the_size_asked_for(twin):
 def test_targets_are_those_that_the_session_states():
     stated = replace(CHECKERBOARD, pitch=4.6)
     plan = replace(small_plan(RIG, captures=("camera",)), targets={"checkerboard": stated})
-    session = observe_session(RIG, plan, 0.0, 0.0, 1)
+    session = trace_twin(RIG, plan).observed(0.0, 0.0, 1)
     assert {v.detection.target for v in session.observations.camera_views} == {stated}
     assert session.observations.plate_views == session.observations.table_views == session.observations.mounts == ()
     assert session.scans == {}

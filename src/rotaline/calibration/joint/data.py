@@ -3,7 +3,7 @@
 A frame counts once: a view in role camera that is also the target of a stripe, or stands on the table, has its place there.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -226,7 +226,7 @@ def _as_stated(camera: CameraCalibration, target: Target) -> Target:
     return camera.targets_as_stated[camera.targets.index(target)] if target in camera.targets else target
 
 
-def _usual_u(views: Sequence[TargetView], detections: Sequence[TargetDetection]):  # type: ignore[no-untyped-def]
+def _usual_u(views: Sequence[TargetView], detections: Sequence[TargetDetection]) -> Callable[[TargetDetection], float]:
     """The median of the stated uncertainties of all detections of a target."""
     everything = [*(v.detection for v in views), *detections]
 

@@ -22,7 +22,7 @@ from rotaline.calibration.joint.data import JointData, MountFrame, PlateFrame, S
 from rotaline.calibration.joint.line_width import crossing
 from rotaline.calibration.joint.rays import RayBundle
 from rotaline.calibration.joint.state import Rigid, State, base_motion, turned_rad
-from rotaline.calibration.joint.surfaces import NONE, assign, by_sizes, curvature_of, has_axis, surface_names
+from rotaline.calibration.joint.surfaces import NONE, assign, by_sizes, curvature_of, has_axis
 from rotaline.calibration.reprojection import projection_jacobians
 from rotaline.calibration.stripe_shift import STRIP_VARIANCE_PX2, WINDOW_SHARE
 from rotaline.geometry.fitting import across
@@ -159,7 +159,7 @@ def mount_rows(
     typical = float(np.median(np.abs(per_px[usable]))) if usable.any() else 0.0
     usable &= np.abs(per_px) > _LEAST_SENSITIVITY * typical
 
-    group = mount_group(data, artifact_mount=mount)
+    group = data.artifact_groups[mount]
     by_px = np.einsum("nij,nj->ni", bundle.by_pixel, normal_px)
     length = np.linalg.norm(gradient, axis=1)
     curvature = curvature_of(artifact, points_part, found.surface)
@@ -220,16 +220,6 @@ def _pieces(
     """Runs of neighbours on one surface."""
     new = (np.diff(index, prepend=index[:1]) > 1) | (np.diff(piece, prepend=piece[:1]) != 0)
     return np.cumsum(new | (np.diff(surface, prepend=surface[:1]) != 0))
-
-
-def mount_group(data: JointData, artifact_mount: int) -> int:
-    """Number of the sizes of a mount's artefact."""
-    return data.artifact_groups[artifact_mount]
-
-
-def mount_surfaces(state: State, mount: int) -> tuple[str, ...]:
-    """Names of the surfaces of the artefact in a mount."""
-    return surface_names(state.artifacts[mount])
 
 
 def _placed(
