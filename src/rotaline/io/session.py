@@ -14,6 +14,7 @@ from typing import Any
 from rotaline.calibration.speckle_limit import LaserOptics
 from rotaline.errors import SessionError
 from rotaline.geometry.primitives import Artifact
+from rotaline.io.frame_images import ImageFile, ImageSource
 from rotaline.io.session_file import SESSION_FILE, MeasurementRequest, SessionFile, parse_session_file
 from rotaline.vision.images import image_size
 from rotaline.vision.targets.model import Target
@@ -42,7 +43,7 @@ class Problem:
 class Frame:
     """One row of ``frames.csv``; ``angle_rad`` and ``pose`` are None where they are empty."""
 
-    path: Path
+    source: ImageSource
     name: str
     angle_rad: float | None
     laser_on: bool
@@ -237,7 +238,7 @@ def _read_row(
         text = str(error).removeprefix(f"{path}: ")
         problems.append(Problem(f"{where}, {path}", f"{text} The frame is left out.", fatal=False))
         return None
-    return Frame(path, f"{label}/{image}", angle, values["laser"] == "on", values["pose"] or None)
+    return Frame(ImageFile(str(path)), f"{label}/{image}", angle, values["laser"] == "on", values["pose"] or None)
 
 
 def _size_problems(sizes: dict[Path, tuple[int, int]]) -> list[Problem]:

@@ -12,10 +12,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rotaline.errors import DetectionError
+from rotaline.io.frame_images import read_source
 from rotaline.io.session import Capture, Frame
 from rotaline.pipeline.observer import Observer
 from rotaline.vision.background import shows_same_scene
-from rotaline.vision.images import one_thread_per_image, read_image
+from rotaline.vision.images import one_thread_per_image
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 from rotaline.vision.stripe.model import StripePoints
 from rotaline.vision.targets.detect import TargetOptions, detect_target
@@ -64,7 +65,7 @@ def detect_frames(
 
     def detect(frame: Frame) -> DetectedFrame:
         try:
-            detection, failure = detect_target(read_image(frame.path), target, options), ""
+            detection, failure = detect_target(read_source(frame.source), target, options), ""
         except DetectionError as error:
             detection, failure = None, str(error)
         return DetectedFrame(frame.name, frame.angle_rad, frame.pose, frame.laser_on, detection, failure)
@@ -109,9 +110,9 @@ def extract_capture(capture: Capture, options: StripeOptions, observer: Observer
     """The stripe in every laser-on frame of a capture; laser-off frames of the same angle or pose are background."""
 
     def extract(frame: Frame) -> StripePoints:
-        image = read_image(frame.path)
+        image = read_source(frame.source)
         off = capture.background_of(frame)
-        background = read_image(off.path) if off is not None else None
+        background = read_source(off.source) if off is not None else None
         if background is not None and not shows_same_scene(image, background):
             background = None
         return extract_stripe(image, background, options)

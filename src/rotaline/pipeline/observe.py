@@ -11,7 +11,7 @@ from rotaline.pipeline.frames import CaptureStripes, DetectedFrame, detect_frame
 from rotaline.pipeline.observer import Observer
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.stage_runner import StoredStageRunner
-from rotaline.pipeline.store import StageStore, files_key, key_of
+from rotaline.pipeline.store import StageStore, key_of, sources_key
 from rotaline.vision.targets.ordering import order_sequence
 
 
@@ -119,7 +119,7 @@ class SessionSource:
         if capture.role == "laser-plane":
             posed = {f.pose for f in frames}
             frames = frames + tuple(f for f in capture.on_frames if f.pose is None or f.pose not in posed)
-        key = key_of(files_key(f.path for f in frames), target, self._options.targets)
+        key = key_of(sources_key(f.source for f in frames), target, self._options.targets)
         kind = "off" if len(frames) == len(capture.off_frames) else "all"
         detected = self._store.get(
             f"detect-{capture.folder}-{capture.target_name}-{kind}",
@@ -158,7 +158,7 @@ def stored_stripes(
     capture: Capture, options: Options, store: StageStore, observer: Observer
 ) -> tuple[CaptureStripes, str]:
     """The stripes of a capture, from the store or extracted, and their key."""
-    key = key_of(files_key(f.path for f in capture.frames), options.stripe, [f.angle_rad for f in capture.frames])
+    key = key_of(sources_key(f.source for f in capture.frames), options.stripe, [f.angle_rad for f in capture.frames])
     stripes = store.get(
         f"stripes-{capture.folder}",
         f"Stripes in {capture.folder}",

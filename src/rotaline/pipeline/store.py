@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 from rotaline import __version__
 from rotaline.errors import SessionError
 from rotaline.io.files import make_folder, output_error
+from rotaline.io.frame_images import ImageSource, source_state
 from rotaline.io.records import read_record, write_record
 from rotaline.pipeline.observer import LOG, Observer
 
@@ -41,13 +42,9 @@ def key_of(*parts: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def files_key(paths: Iterable[Path]) -> str:
-    """A key of input files: their names, sizes and times of change."""
-    entries = []
-    for path in paths:
-        state = path.stat()
-        entries.append((path.name, state.st_size, state.st_mtime_ns))
-    return key_of(entries)
+def sources_key(sources: Iterable[ImageSource]) -> str:
+    """A key of images: their names, sizes and times of change."""
+    return key_of([source_state(source) for source in sources])
 
 
 @dataclass(frozen=True, eq=False)

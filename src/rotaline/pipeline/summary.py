@@ -13,6 +13,7 @@ from rotaline.calibration.model import SystemCalibration
 from rotaline.calibration.speckle_limit import speckle_limit_at_axis
 from rotaline.calibration.verdict.model import Verdict
 from rotaline.geometry.primitives import Artifact, KnownCylinder, KnownSphere, SteppedCylinder
+from rotaline.io.frame_images import read_source
 from rotaline.io.report.contents import (
     CaptureSummary,
     CloudSummary,
@@ -31,7 +32,7 @@ from rotaline.pipeline.observer import Observer, Silent
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.store import StageStore
 from rotaline.scanning.cloud import PointCloud
-from rotaline.vision.images import read_image, small_picture
+from rotaline.vision.images import small_picture
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target
 
 MAX_DRAWN = 100_000
@@ -115,7 +116,7 @@ _STAGE_OF_ROLE = {
 
 
 def _overlay(role: str, frame: Frame, what: str, uv: np.ndarray) -> FrameOverlay:
-    image, scale = small_picture(read_image(frame.path), PICTURE_WIDTH)
+    image, scale = small_picture(read_source(frame.source), PICTURE_WIDTH)
     angle = "" if frame.angle_rad is None else f" at {np.degrees(frame.angle_rad):.2f} deg"
     return FrameOverlay(_STAGE_OF_ROLE[role], frame.name, f"{frame.name}{angle}: {what}", image, scale, uv)
 

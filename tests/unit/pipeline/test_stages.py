@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from rotaline.geometry.primitives import KnownCylinder, KnownSphere, SteppedCylinder
+from rotaline.io.frame_images import ImageFile
 from rotaline.io.session import Capture, Frame, Session
 from rotaline.io.session_file import MeasurementRequest
 from rotaline.pipeline.stages import planned_stages
@@ -16,7 +17,7 @@ STEPPED, ROD, BALL = SteppedCylinder(20.0, 30.0, 15.0, 16.0), KnownCylinder(38.0
 
 def _capture(folder, role, target, n_on=0, n_off=0):
     frames = tuple(
-        Frame(Path(f"{i}.png"), f"{folder}/{i}.png", 0.1 * i, i < n_on, str(i % max(n_on, 1)))
+        Frame(ImageFile(f"{i}.png"), f"{folder}/{i}.png", 0.1 * i, i < n_on, str(i % max(n_on, 1)))
         for i in range(n_on + n_off)
     )
     return Capture(folder, role, role, target, frames)

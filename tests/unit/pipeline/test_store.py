@@ -2,8 +2,9 @@ import os
 
 import pytest
 
+from rotaline.io.frame_images import ImageFile
 from rotaline.pipeline.observer import Silent
-from rotaline.pipeline.store import StageStore, files_key, key_of
+from rotaline.pipeline.store import StageStore, key_of, sources_key
 from rotaline.vision.targets.model import Checkerboard
 
 
@@ -70,9 +71,9 @@ def test_variants_are_kept_until_nothing_asks_for_them(tmp_path):
 def test_the_key_follows_files_and_values(tmp_path):
     file = tmp_path / "x.png"
     file.write_bytes(b"1")
-    first = files_key([file])
-    assert files_key([file]) == first
+    first = sources_key([ImageFile(str(file))])
+    assert sources_key([ImageFile(str(file))]) == first
     os.utime(file, ns=(1, 1))
-    assert files_key([file]) != first
+    assert sources_key([ImageFile(str(file))]) != first
     assert key_of(Checkerboard((3, 2), 4.0)) != key_of(Checkerboard((3, 2), 4.1))
     assert key_of(Checkerboard((3, 2), 4.0)) == key_of(Checkerboard((3, 2), 4.0))

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rotaline.calibration.model import SystemCalibration
 from rotaline.errors import GeometryError
+from rotaline.io.frame_images import read_source
 from rotaline.io.report.reproduction import ComplexPartResult, ComplexPartsSection, DetailResult
 from rotaline.pipeline.compare_truth import best_rotation
 from rotaline.pipeline.options import Options
@@ -24,7 +25,7 @@ from rotaline.simulation.parts.complex_parts import ComplexPart, Detail
 from rotaline.simulation.parts.mesh_distance import signed_distances_to_mesh
 from rotaline.simulation.plan import SessionPlan
 from rotaline.simulation.rig import Rig
-from rotaline.vision.images import read_image, small_picture
+from rotaline.vision.images import small_picture
 
 RESOLVED_FRACTION = 0.5
 NEAR_MM = 0.5
@@ -67,7 +68,7 @@ def complex_parts_section(
         def compute(
             name: str = name, part: ComplexPart = part, standing: RigidTransform = standing
         ) -> ComplexPartResult:
-            photo = read_image(bench.capture(f"{name}-photo").frames[0].path)
+            photo = read_source(bench.capture(f"{name}-photo").frames[0].source)
             picture, _ = small_picture(photo, PICTURE_WIDTH)
             cloud, placed = _cloud(bench, name, system, options)
             return _judge(name, part, standing, cloud, placed, rig, options, picture)
