@@ -33,6 +33,17 @@ def test_every_option_says_what_it_does_and_its_unit(entry):
             assert unit in entry.help
 
 
+@pytest.mark.parametrize("path", [p for p in SOURCES if "@compiled" in p.read_text(encoding="utf-8")], ids=lambda p: p.stem)
+def test_kernels_stand_where_the_stored_machine_code_is_watched(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            names = [d.id for d in node.decorator_list if isinstance(d, ast.Name)]
+            if "compiled" in names:
+                assert path.stem.endswith("kernels"), "the folder of stored machine code is named after *kernels.py"
+                assert names == ["compiled", "no_type_check"], f"{node.name}: {names}"
+
+
 def test_dependencies_are_locked_by_name_and_version_only():
     lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
     assert lines
