@@ -18,8 +18,10 @@ GRAZING_RAD = np.deg2rad(1.0)
 PLANE_THROUGH_CENTRE_MM = 1e-9
 """A plane nearer to the projection centre than this is seen edge-on by every ray."""
 
+ON_SHEET_MM = 1e-9
+"""A point found on a curved sheet is this near to it."""
+
 _NEWTON_STEPS = 4
-_ON_SHEET_MM = 1e-9
 
 
 def intersect_rays_with_plane(rays_camera: Float[np.ndarray, "n 3"], plane_camera: Plane) -> Float[np.ndarray, "n 3"]:
@@ -50,17 +52,28 @@ def intersect_rays_with_plane(rays_camera: Float[np.ndarray, "n 3"], plane_camer
     array([[ 30.,   0., 300.],
            [ nan,  nan,  nan]])
     """
-    if not abs(plane_camera.offset) > PLANE_THROUGH_CENTRE_MM:
-        raise GeometryError(
-            f"The plane passes {abs(plane_camera.offset):.3g} mm from the projection centre, so the camera sees it "
-            "edge-on and no pixel fixes a point on it. Move the laser away from the camera, or check the calibrated plane."
-        )
+    require_aslant(plane_camera)
     lengths = np.linalg.norm(rays_camera, axis=1)
     across = rays_camera @ plane_camera.normal
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = -plane_camera.offset / across
         usable = (np.abs(across) > np.sin(GRAZING_RAD) * lengths) & (scale > 0) & np.isfinite(scale)
     return np.where(usable[:, None], np.where(usable, scale, 0.0)[:, None] * rays_camera, np.nan)
+
+
+def require_aslant(plane_camera: Plane) -> None:
+    """Refuse a plane that holds the projection centre.
+
+    Raises
+    ------
+    GeometryError
+        If it does: then no pixel fixes a point.
+    """
+    if not abs(plane_camera.offset) > PLANE_THROUGH_CENTRE_MM:
+        raise GeometryError(
+            f"The plane passes {abs(plane_camera.offset):.3g} mm from the projection centre, so the camera sees it "
+            "edge-on and no pixel fixes a point on it. Move the laser away from the camera, or check the calibrated plane."
+        )
 
 
 def intersect_rays_with_sheet(
@@ -93,7 +106,7 @@ def intersect_rays_with_sheet(
             along = np.sum(gradient * rays_camera, axis=1)
             points = points - (distance / along)[:, None] * rays_camera
         distance, _ = sheet_distance(points, plane_camera, curvature)
-        settled = (np.abs(distance) < _ON_SHEET_MM) & (np.sum(points * rays_camera, axis=1) > 0)
+        settled = (np.abs(distance) < ON_SHEET_MM) & (np.sum(points * rays_camera, axis=1) > 0)
     return np.where(settled[:, None], points, np.nan)
 
 

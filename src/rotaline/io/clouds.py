@@ -1,15 +1,20 @@
 """Clouds and meshes as files: PLY and STL, in the table frame, mm."""
 
 import re
+from contextlib import ExitStack
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 
+from rotaline.calibration.model import SystemCalibration
 from rotaline.errors import SessionError
-from rotaline.io.files import whole_file
+from rotaline.io.files import output_error, whole_file
 from rotaline.scanning.cloud import PointCloud
+from rotaline.scanning.runs import runs_of_equal
+from rotaline.scanning.table_pose import poses_table_from_camera
 
 _FIELDS = (
     ("x", "f4"),
@@ -22,6 +27,59 @@ _FIELDS = (
     ("u_calibration", "f4"),
 )
 _PLY_NAMES = {"f4": "float", "i4": "int"}
+_RECORD = np.dtype([(name, "<" + kind) for name, kind in _FIELDS])
+_PIECE = 65536
+"""Points that are turned into records, or back, at a time."""
+
+
+class CloudWriter:
+    """Writes clouds one after the other as one binary PLY, as :func:`write_cloud` writes one.
+
+    Used with ``with``: the file takes its place, whole, when the block ends without an error. What is in memory does not grow with the
+    number of points.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._n = 0
+
+    def __enter__(self) -> "CloudWriter":
+        """Open a file beside ``path``.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written; ``append`` and the end of the block raise it too.
+        """
+        with ExitStack() as stack:
+            temporary = stack.enter_context(whole_file(self._path))
+            self._stream = stack.enter_context(temporary.open("wb"))
+            self._stream.write(_header(0))
+            self._stack = stack.pop_all()
+        return self
+
+    def append(self, cloud: PointCloud) -> None:
+        """Add the points of a cloud after those that are there."""
+        try:
+            for start in range(0, len(cloud), _PIECE):
+                self._stream.write(_records(cloud, slice(start, start + _PIECE)).tobytes())
+        except OSError as error:
+            raise output_error(self._path, error) from error
+        self._n += len(cloud)
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        """Put the file in its place, or leave nothing of it."""
+        if error is not None:
+            # whatever happened in the block is not the file's fault: only make it clean up
+            self._stack.__exit__(_AbandonedError, _AbandonedError(), None)
+            return
+        with self._stack:
+            self._stream.seek(0)
+            self._stream.write(_header(self._n))
+
+
+class _AbandonedError(Exception):
+    """The block of a writer ended with an error."""
 
 
 def write_cloud(path: Path, cloud: PointCloud) -> None:
@@ -30,25 +88,92 @@ def write_cloud(path: Path, cloud: PointCloud) -> None:
     ``u_noise`` and ``u_calibration`` are standard uncertainties (k = 1, mm) from the stripe's noise and from the calibration; NaN
     where not known.
     """
-    data = np.empty(len(cloud), dtype=[(name, "<" + kind) for name, kind in _FIELDS])
-    data["x"], data["y"], data["z"] = cloud.points_table.T
-    data["intensity"] = cloud.intensity
-    data["angle_deg"] = np.degrees(cloud.angle_rad)
-    data["frame"] = cloud.frame
-    data["u_noise"] = cloud.u_mm
-    data["u_calibration"] = cloud.u_calibration_mm
-    header = [
+    with CloudWriter(path) as writer:
+        writer.append(cloud)
+
+
+def _header(n: int) -> bytes:
+    """Of the same length for every number of points: a comment fills up."""
+    lines = [
         "ply",
         "format binary_little_endian 1.0",
         "comment rotaline point cloud; table frame, z on the rotation axis; mm",
         "comment standard uncertainties (k = 1), mm: u_noise from the stripe, u_calibration common to many points",
-        f"element vertex {len(cloud)}",
+        "comment " + "." * (20 - len(str(n))),
+        f"element vertex {n}",
         *(f"property {_PLY_NAMES[kind]} {name}" for name, kind in _FIELDS),
         "end_header\n",
     ]
-    with whole_file(path) as temporary, temporary.open("wb") as stream:
-        stream.write("\n".join(header).encode("ascii"))
-        stream.write(data.tobytes())
+    return "\n".join(lines).encode("ascii")
+
+
+def _records(cloud: PointCloud, piece: slice) -> np.ndarray:
+    """Some of the points as they stand in the file."""
+    points = cloud.points_table[piece]
+    records = np.empty(len(points), dtype=_RECORD)
+    records["x"], records["y"], records["z"] = points.T
+    records["intensity"] = cloud.intensity[piece]
+    records["angle_deg"] = np.degrees(cloud.angle_rad[piece])
+    records["frame"] = cloud.frame[piece]
+    records["u_noise"] = cloud.u_mm[piece]
+    records["u_calibration"] = cloud.u_calibration_mm[piece]
+    return records
+
+
+def read_cloud(path: Path, system: SystemCalibration, max_points: int | None = None) -> PointCloud:
+    """A cloud that this program wrote, to the precision of the file (32 bit floats); read in pieces.
+
+    Parameters
+    ----------
+    path : a ``.ply`` of :func:`write_cloud` or :class:`CloudWriter`
+    system : SystemCalibration   the one that the cloud was made with: it says where the camera stood at each angle
+    max_points : of more points, so many are taken, evenly in the order of the file
+
+    Raises
+    ------
+    SessionError
+        If the file is missing, cut off, or was not written by this program.
+    """
+    try:
+        with path.open("rb") as stream:
+            return _read_records(stream, system, max_points)
+    except (OSError, ValueError) as error:
+        raise SessionError(
+            f"{path}: this is no point cloud that rotaline wrote ({error}). Scan the capture again."
+        ) from error
+
+
+def _read_records(stream: BinaryIO, system: SystemCalibration, max_points: int | None) -> PointCloud:
+    head = stream.read(len(_header(0)))
+    found = re.search(rb"element vertex (\d+)\n", head)
+    n = int(found[1]) if found else 0
+    if head != _header(n):
+        raise ValueError("its header is another one")
+    stream.seek(0, 2)
+    if stream.tell() != len(head) + n * _RECORD.itemsize:
+        raise ValueError(f"its header announces {n} points, the file is cut off or has more")
+    kept = n if max_points is None else min(n, max_points)
+    taken = np.arange(kept) * n // max(kept, 1)
+    records = np.empty(kept, dtype=_RECORD)
+    stream.seek(len(head))
+    for start in range(0, n, _PIECE):
+        piece = np.frombuffer(stream.read(_PIECE * _RECORD.itemsize), dtype=_RECORD)
+        first, last = np.searchsorted(taken, (start, start + len(piece)))
+        records[first:last] = piece[taken[first:last] - start]
+    angle_rad = np.radians(records["angle_deg"].astype(float))
+    viewpoints_table = np.empty((kept, 3))
+    for here, runs in runs_of_equal(angle_rad):
+        eyes_table = poses_table_from_camera(runs.turned_rad, system)[:, :, 3]
+        viewpoints_table[here] = np.repeat(eyes_table, np.diff(runs.starts), axis=0)
+    return PointCloud(
+        np.column_stack([records[name].astype(float) for name in "xyz"]),
+        viewpoints_table,
+        records["intensity"].astype(float),
+        angle_rad,
+        records["frame"].astype(int),
+        records["u_noise"].astype(float),
+        records["u_calibration"].astype(float),
+    )
 
 
 def read_points(path: Path) -> Float[np.ndarray, "n 3"]:

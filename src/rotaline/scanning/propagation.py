@@ -15,6 +15,7 @@ origin: what lifts the whole cloud lifts z = 0 with it, and is no error of any p
 turn, and leaves z = 0 in place.
 
 The covariance of a point is ``J C J^T`` [1]_, that of a quantity that depends on many points ``c C c^T`` with ``c = sum_i w_i J_i``.
+:func:`point_sensitivities` gives J; the uncertainties come from a compiled kernel that never holds it, with the same derivatives.
 
 References
 ----------
@@ -22,6 +23,8 @@ References
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -33,19 +36,25 @@ from rotaline.geometry.fitting import across
 from rotaline.geometry.intersect import intersect_rays_with_sheet, sheet_coordinates, sheet_distance
 from rotaline.geometry.primitives import Plane, SheetCurvature
 from rotaline.scanning.cloud import read_angles_rad
+from rotaline.scanning.propagation_kernels import sum_moves
+from rotaline.scanning.runs import Runs, camera_values, moved_by_runs, runs_of_equal, sheet_values
 from rotaline.scanning.table_pose import (
     against_table,
     axis_movement,
     base_from_table,
     directions_base_from_table,
+    inverse_poses,
     pivot_base,
+    poses_table_from_camera,
 )
 from rotaline.vision.camera import DISTORTION_NAMES, CameraModel
 
 _CAMERA_NAMES = ("fx", "fy", "cx", "cy", *DISTORTION_NAMES)
+_SHEET_NAMES = ("plane_turn_1", "plane_turn_2", "plane_offset", "curvature_uu", "curvature_uv", "curvature_vv")
+_AXIS_NAMES = ("axis_turn_x", "axis_turn_y", "axis_shift_x", "axis_shift_y")
 _X, _Y, _Z = np.eye(3)
-_BLOCK = 8192
-"""Points whose derivatives are in memory at a time."""
+_FAR_MM = 1024.0
+"""Where a linear function of the place is looked up: its slopes are then exact to rounding."""
 
 
 def point_sensitivities(
@@ -80,6 +89,64 @@ def point_sensitivities(
     return np.asarray(in_table)
 
 
+@dataclass(frozen=True, eq=False)
+class CovarianceFactor:
+    """A factor F of the covariance, ``C = F F^T``: q independent changes of the system, each as large as its standard deviation.
+
+    Attributes
+    ----------
+    by_camera : (9, q)   what they do to ``fx, fy, cx, cy, k1, k2, p1, p2, k3``
+    by_sheet : (6, q)   to the turns, the offset and the curvatures of the sheet
+    by_table : (r, q)   to what the table does, named in ``table_names``
+    by_axis : (q, 3, 4)   how points move with the axis, camera frame: ``A X + b`` as ``[A | b]``
+    level : (q,)   how far each lifts the place from which heights count, mm
+    """
+
+    by_camera: Float[np.ndarray, "9 q"]
+    by_sheet: Float[np.ndarray, "6 q"]
+    by_table: Float[np.ndarray, "r q"]
+    table_names: tuple[str, ...]
+    by_axis: Float[np.ndarray, "q 3 4"]
+    level: Float[np.ndarray, " q"]
+
+
+@lru_cache(maxsize=4)
+def covariance_factor(system: SystemCalibration) -> CovarianceFactor | None:
+    """The factor of the covariance of a system; None where it has none."""
+    covariance = system.covariance
+    if covariance is None:
+        return None
+    names, matrix = covariance.names, covariance.matrix
+    # parameters differ by many orders of magnitude: of their correlations, the eigenvalues are exact to rounding
+    scale = np.sqrt(np.diag(matrix))
+    safe = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(matrix / np.outer(safe, safe))
+    factor = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    of_level = _by_rig(_level_base(system), system)
+    rises = np.array([of_level[name][0, 2] if name in of_level else 0.0 for name in names])
+
+    def rows(wanted: Sequence[str]) -> Float[np.ndarray, "w q"]:
+        chosen = np.zeros((len(wanted), len(names)))
+        for row, name in zip(chosen, wanted, strict=True):
+            if name in names:
+                row[:] = factor[names.index(name)]
+        return chosen
+
+    base_from_camera = system.base_from_camera
+    eye, pivot = base_from_camera.apply(np.stack([np.zeros(3), covariance.axis_pivot_camera]))
+    of_axis = _by_axis(_corners_base(system), eye, pivot)
+    axis_moves = _linear_in_camera(np.stack([of_axis[name] for name in _AXIS_NAMES]), system)
+    table_names = tuple(name for name in names if name not in _CAMERA_NAMES + _SHEET_NAMES + _AXIS_NAMES)
+    return CovarianceFactor(
+        by_camera=rows(_CAMERA_NAMES),
+        by_sheet=rows(_SHEET_NAMES),
+        by_table=rows(table_names),
+        table_names=table_names,
+        by_axis=np.tensordot(rows(_AXIS_NAMES), axis_moves, axes=(0, 0)),
+        level=rises @ factor,
+    )
+
+
 def calibration_uncertainty(
     points_table: Float[np.ndarray, "n 3"], angle_rad: Float[np.ndarray, " n"], system: SystemCalibration
 ) -> Float[np.ndarray, " n"]:
@@ -89,15 +156,27 @@ def calibration_uncertainty(
     -------
     (n,)   mm; NaN where the system has no covariance
     """
-    if system.covariance is None:
-        return np.full(len(points_table), np.nan)
-    matrix = system.covariance.matrix
-    variance = np.empty(len(points_table))
-    for start in range(0, len(points_table), _BLOCK):
-        block = slice(start, start + _BLOCK)
-        jacobian = point_sensitivities(points_table[block], angle_rad[block], system)
-        variance[block] = np.sum((jacobian @ matrix) * jacobian, axis=(1, 2))
-    return np.sqrt(np.maximum(variance, 0.0))
+    factor = covariance_factor(system)
+    u_mm = np.full(len(points_table), np.nan)
+    if factor is None:
+        return u_mm
+    for here, runs in runs_of_equal(angle_rad):
+        poses = poses_table_from_camera(runs.turned_rad, system)
+        points_camera = moved_by_runs(points_table[here], runs.starts, inverse_poses(poses))
+        u_mm[here] = uncertainty_in_camera(points_camera, runs, poses, system, factor)
+    return u_mm
+
+
+def uncertainty_in_camera(
+    points_camera: Float[np.ndarray, "n 3"],
+    runs: Runs,
+    poses: Float[np.ndarray, "f 3 4"],
+    system: SystemCalibration,
+    factor: CovarianceFactor,
+) -> Float[np.ndarray, " n"]:
+    """:func:`calibration_uncertainty` of points where the camera saw them, mm; ``poses`` are table from camera, one a run."""
+    no_weights = np.empty((0, *points_camera.shape))
+    return np.sqrt(_sum_moves(points_camera, runs, poses, system, factor, no_weights)[0])
 
 
 def combination_uncertainty(
@@ -112,15 +191,76 @@ def combination_uncertainty(
     -------
     (k,)   in the unit of weight times mm; NaN where the system has no covariance
     """
-    if system.covariance is None:
+    factor = covariance_factor(system)
+    if factor is None:
         return np.full(len(weights), np.nan)
-    matrix = system.covariance.matrix
-    total = np.zeros((len(weights), len(matrix)))
-    for start in range(0, len(points_table), _BLOCK):
-        block = slice(start, start + _BLOCK)
-        jacobian = point_sensitivities(points_table[block], angle_rad[block], system)
-        total += np.tensordot(weights[:, block], jacobian, axes=2)
-    return np.sqrt(np.maximum(np.sum((total @ matrix) * total, axis=1), 0.0))
+    total = np.zeros((len(weights), len(factor.level)))
+    for here, runs in runs_of_equal(angle_rad):
+        poses = poses_table_from_camera(runs.turned_rad, system)
+        camera_from_table = inverse_poses(poses)
+        points_camera = moved_by_runs(points_table[here], runs.starts, camera_from_table)
+        camera_from_table[:, :, 3] = 0.0
+        weights_camera = np.stack([moved_by_runs(w[here], runs.starts, camera_from_table) for w in weights])
+        total += _sum_moves(points_camera, runs, poses, system, factor, weights_camera)[1]
+    return np.asarray(np.linalg.norm(total, axis=1))
+
+
+def _sum_moves(
+    points_camera: Float[np.ndarray, "n 3"],
+    runs: Runs,
+    poses: Float[np.ndarray, "f 3 4"],
+    system: SystemCalibration,
+    factor: CovarianceFactor,
+    weights_camera: Float[np.ndarray, "k n 3"],
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "k q"]]:
+    """The variance of each point, and the moves of k weighted sums of points under the q changes of the factor."""
+    assert system.covariance is not None
+    variance = np.empty(len(points_camera))
+    totals = np.zeros((len(weights_camera), len(factor.level)))
+    sum_moves(
+        points_camera,
+        runs.starts,
+        camera_values(system.camera),
+        sheet_values(system.laser_plane_camera, system.laser_curvature),
+        tuple(float(value) for value in system.covariance.plane_pivot_camera),
+        factor.by_camera,
+        factor.by_sheet,
+        _linear_moves(runs.turned_rad, poses, system, factor),
+        weights_camera,
+        variance,
+        totals,
+    )
+    return variance, totals
+
+
+def _linear_moves(
+    turned_rad: Float[np.ndarray, " f"],
+    poses: Float[np.ndarray, "f 3 4"],
+    system: SystemCalibration,
+    factor: CovarianceFactor,
+) -> Float[np.ndarray, "f q 3 4"]:
+    """What axis, table and level do: under each change of the factor the points of a run move by ``A X + b``, in the camera frame."""
+    n, n_columns = len(turned_rad), len(factor.level)
+    linear = np.tile(factor.by_axis, (n, 1, 1, 1))
+    if n > 0 and factor.table_names:
+        by_name = _by_table(np.tile(_corners_base(system), (n, 1)), np.repeat(turned_rad, 4), system)
+        corners = np.stack([by_name[name] for name in factor.table_names]).reshape(-1, 4, 3)
+        moves = np.moveaxis(_linear_in_camera(corners, system).reshape(-1, n, 12), 0, 2)
+        of_table = np.ascontiguousarray(moves) @ factor.by_table
+        linear += np.swapaxes(of_table, 1, 2).reshape(n, n_columns, 3, 4)
+    linear[:, :, :, 3] -= factor.level[:, None] * poses[:, 2, None, :3]
+    return linear
+
+
+def _corners_base(system: SystemCalibration) -> Float[np.ndarray, "4 3"]:
+    """Three points far along the axes of the camera frame, and its origin."""
+    return system.base_from_camera.apply(np.vstack([_FAR_MM * np.eye(3), np.zeros(3)]))
+
+
+def _linear_in_camera(moves_base: Float[np.ndarray, "r 4 3"], system: SystemCalibration) -> Float[np.ndarray, "r 3 4"]:
+    """Moves that are linear functions of the place, from those of the corners: ``[A | b]`` in the camera frame."""
+    moves = np.swapaxes(moves_base @ system.base_from_camera.rotation.as_matrix(), 1, 2)
+    return np.concatenate([(moves[:, :, :3] - moves[:, :, 3:]) / _FAR_MM, moves[:, :, 3:]], axis=2)
 
 
 def _level_base(system: SystemCalibration) -> Float[np.ndarray, "1 3"]:

@@ -75,3 +75,21 @@ def pivot_base(system: SystemCalibration, motion: TableMotion) -> Float[np.ndarr
     """The point of the axis about which it tilts, mm, base frame."""
     axis = system.rotation_axis_camera
     return np.array([0.0, 0.0, (motion.pivot_camera - axis.point) @ axis.direction])
+
+
+def poses_table_from_camera(
+    turned_rad: Float[np.ndarray, " f"], system: SystemCalibration
+) -> Float[np.ndarray, "f 3 4"]:
+    """Rigid motions ``[R | t]`` from the camera to the table that has turned by each angle (as in a cloud): columns of points moved."""
+    far = 1024.0  # mm: the columns of R are then exact to rounding
+    corners_base = system.base_from_camera.apply(np.vstack([np.eye(3) * far, np.zeros(3)]))
+    n = len(turned_rad)
+    moved = table_from_base(np.tile(corners_base, (n, 1)), np.repeat(turned_rad, 4), system).reshape(n, 4, 3)
+    columns = np.concatenate([(moved[:, :3] - moved[:, 3:]) / far, moved[:, 3:]], axis=1)
+    return np.ascontiguousarray(np.swapaxes(columns, 1, 2))
+
+
+def inverse_poses(poses: Float[np.ndarray, "f 3 4"]) -> Float[np.ndarray, "f 3 4"]:
+    """Rigid motions ``[R | t]`` the other way."""
+    back = np.swapaxes(poses[:, :, :3], 1, 2)
+    return np.ascontiguousarray(np.concatenate([back, -back @ poses[:, :, 3:]], axis=2))

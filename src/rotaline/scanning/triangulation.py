@@ -9,22 +9,24 @@ References
 .. [1] Li et al., Sensors 2026, 26(13), 4275, sections 3.1 and 4
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from rotaline.calibration.model import SystemCalibration
-from rotaline.geometry.intersect import intersect_rays_with_sheet
+from rotaline.geometry.intersect import GRAZING_RAD, ON_SHEET_MM, intersect_rays_with_sheet, require_aslant
 from rotaline.geometry.primitives import Plane, SheetCurvature
 from rotaline.scanning.cloud import PointCloud, read_angles_rad
-from rotaline.scanning.propagation import calibration_uncertainty
-from rotaline.scanning.table_pose import base_from_table, table_from_base
+from rotaline.scanning.propagation import CovarianceFactor, covariance_factor, uncertainty_in_camera
+from rotaline.scanning.runs import Runs, camera_values, moved_by_runs, runs_of_equal, sheet_values
+from rotaline.scanning.table_pose import inverse_poses, poses_table_from_camera
+from rotaline.scanning.triangulation_kernels import meet_sheet
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.stripe.model import StripePoints
 
-_STEP_PX = 0.5
+_FRAMES_AT_A_TIME = 64
 
 
 def triangulate(
@@ -35,6 +37,8 @@ def triangulate(
 ) -> Float[np.ndarray, "n 3"]:
     """Points of the laser sheet that the camera sees at the pixels ``uv``; ``curvature`` is None for a flat sheet.
 
+    The plain way, which :func:`scan_points` is held against.
+
     Returns
     -------
     points_camera : (n, 3)   mm; NaN rows where no point exists
@@ -42,68 +46,102 @@ def triangulate(
     return intersect_rays_with_sheet(camera.rays(uv), laser_plane_camera, curvature)
 
 
-def stripe_uncertainty(
-    stripe: StripePoints, camera: CameraModel, laser_plane_camera: Plane, curvature: SheetCurvature | None = None
-) -> Float[np.ndarray, " n"]:
-    """Standard uncertainty of each point from the stripe's own noise, mm: how far it moves in space when the centre
-    moves along the stripe's normal by its standard uncertainty.
-    """
-    ahead = triangulate(stripe.uv + _STEP_PX * stripe.normal, camera, laser_plane_camera, curvature)
-    behind = triangulate(stripe.uv - _STEP_PX * stripe.normal, camera, laser_plane_camera, curvature)
-    return np.linalg.norm(ahead - behind, axis=1) / (2 * _STEP_PX) * stripe.u_normal_px
-
-
-def scan_cloud(
-    stripes: Sequence[StripePoints], angles_rad: Float[np.ndarray, " f"], calibration: SystemCalibration
+def scan_points(
+    stripes: Sequence[StripePoints],
+    angles_rad: Float[np.ndarray, " f"],
+    calibration: SystemCalibration,
+    first_frame: int = 0,
 ) -> PointCloud:
-    """One cloud in the table frame from the stripes of all frames.
+    """The points of a range of frames in the table frame.
+
+    A point depends on its own frame only: the clouds of the ranges of a capture, one after the other, are that of all its frames to the
+    last bit.
 
     Parameters
     ----------
     stripes : one per frame; frames without a stripe are empty
     angles_rad : (f,)   ``angle_deg`` of the session in rad: sense and error of the read-out are applied here and nowhere else
     calibration : SystemCalibration
+    first_frame : the number of the first of these frames in the capture
 
     Returns
     -------
-    PointCloud   without the points that no ray fixes; ``frame`` indexes ``stripes``
+    PointCloud   without the points that no ray fixes; ``frame`` is ``first_frame`` plus the index in ``stripes``. ``u_mm`` is how far
+        the point moves in space when the centre moves along the stripe's normal by its standard uncertainty
+
+    Raises
+    ------
+    GeometryError
+        If the laser plane holds the projection centre.
+    ValueError
+        If there are not as many angles as stripes.
     """
+    if len(stripes) != len(angles_rad):
+        raise ValueError(f"{len(stripes)} stripes, but {len(angles_rad)} angles")
+    require_aslant(calibration.laser_plane_camera)
     turned_rad = calibration.angle_error.turned_rad(angles_rad) * calibration.turn_sense
-    sheet = (calibration.camera, calibration.laser_plane_camera, calibration.laser_curvature)
-    base_from_camera = calibration.base_from_camera
-    eye_base = base_from_camera.apply(np.zeros(3))
-    pieces: list[PointCloud] = []
-    for frame, (stripe, angle) in enumerate(zip(stripes, turned_rad, strict=True)):
-        points_camera = triangulate(stripe.uv, *sheet)
-        good = np.isfinite(points_camera).all(axis=1)
-        if not good.any():
-            continue
-        kept = stripe.select(good)
-        n = len(kept)
-        eye_table = table_from_base(eye_base[None], float(angle), calibration)
-        pieces.append(
-            PointCloud(
-                points_table=table_from_base(base_from_camera.apply(points_camera[good]), float(angle), calibration),
-                viewpoints_table=np.broadcast_to(eye_table, (n, 3)),
-                intensity=kept.intensity.astype(float),
-                angle_rad=np.full(n, float(angle)),
-                frame=np.full(n, frame),
-                u_mm=stripe_uncertainty(kept, *sheet),
-                u_calibration_mm=np.full(n, np.nan),
-            )
-        )
-    if not pieces:
-        nothing = np.empty((0, 3))
-        empty = np.empty(0)
-        return PointCloud(nothing, nothing, empty, empty, np.empty(0, dtype=int), empty, empty)
-    names = [field.name for field in fields(PointCloud)]
-    cloud = PointCloud(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in names))
-    return _with_calibration(cloud, calibration)
+    if len(stripes) <= _FRAMES_AT_A_TIME:
+        return next(_scan_by_blocks(stripes, turned_rad, calibration, first_frame))
+    n = 0
+    columns: dict[str, np.ndarray] = {}
+    for piece in _scan_by_blocks(stripes, turned_rad, calibration, first_frame):
+        for field in fields(piece):
+            values = getattr(piece, field.name)
+            if field.name not in columns:
+                columns[field.name] = np.empty((sum(map(len, stripes)), *values.shape[1:]), values.dtype)
+            columns[field.name][n : n + len(piece)] = values
+        n += len(piece)
+    return PointCloud(**{name: column[:n] for name, column in columns.items()})
 
 
-def _with_calibration(cloud: PointCloud, calibration: SystemCalibration) -> PointCloud:
-    u_calibration_mm = calibration_uncertainty(cloud.points_table, cloud.angle_rad, calibration)
-    return replace(cloud, u_calibration_mm=u_calibration_mm)
+def scan_cloud(
+    stripes: Sequence[StripePoints], angles_rad: Float[np.ndarray, " f"], calibration: SystemCalibration
+) -> PointCloud:
+    """One cloud in the table frame from the stripes of all frames of a capture: :func:`scan_points` from the first on."""
+    return scan_points(stripes, angles_rad, calibration)
+
+
+def _scan_by_blocks(
+    stripes: Sequence[StripePoints],
+    turned_rad: Float[np.ndarray, " f"],
+    calibration: SystemCalibration,
+    first_frame: int,
+) -> Iterator[PointCloud]:
+    """At least one cloud; each of some frames, so that what is needed in between stays small."""
+    camera = camera_values(calibration.camera)
+    sheet = sheet_values(calibration.laser_plane_camera, calibration.laser_curvature)
+    factor = covariance_factor(calibration)
+    for first in range(0, max(len(stripes), 1), _FRAMES_AT_A_TIME):
+        block = stripes[first : first + _FRAMES_AT_A_TIME]
+        counts = [len(stripe) for stripe in block]
+        n = sum(counts)
+        uv, normal, u_px, intensity = np.empty((n, 2)), np.empty((n, 2)), np.empty(n), np.empty(n)
+        runs = Runs(turned_rad[first : first + len(block)], np.cumsum([0, *counts]))
+        for k, stripe in enumerate(block):
+            here = slice(runs.starts[k], runs.starts[k + 1])
+            uv[here], normal[here] = stripe.uv, stripe.normal
+            u_px[here], intensity[here] = stripe.u_normal_px, stripe.intensity
+        points_camera, u_mm = np.empty((n, 3)), np.empty(n)
+        meet_sheet(uv, normal, u_px, camera, sheet, np.sin(GRAZING_RAD), ON_SHEET_MM, points_camera, u_mm)
+        points_table, viewpoints_table, u_calibration_mm = _on_table(points_camera, runs, calibration, factor)
+        frame = np.repeat(np.arange(first, first + len(block)) + first_frame, counts)
+        angle_rad = np.repeat(runs.turned_rad, counts)
+        cloud = PointCloud(points_table, viewpoints_table, intensity, angle_rad, frame, u_mm, u_calibration_mm)
+        good = np.isfinite(points_camera[:, 2])
+        yield cloud if good.all() else cloud.select(good)
+
+
+def _on_table(
+    points_camera: Float[np.ndarray, "n 3"], runs: Runs, system: SystemCalibration, factor: CovarianceFactor | None
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Points in the table frame, where the camera stood then, and the uncertainty from the calibration."""
+    poses = poses_table_from_camera(runs.turned_rad, system)
+    if factor is None:
+        u_calibration_mm = np.full(len(points_camera), np.nan)
+    else:
+        u_calibration_mm = uncertainty_in_camera(points_camera, runs, poses, system, factor)
+    viewpoints_table = np.repeat(poses[:, :, 3], np.diff(runs.starts), axis=0)
+    return moved_by_runs(points_camera, runs.starts, poses), viewpoints_table, u_calibration_mm
 
 
 def move_to_axis(cloud: PointCloud, old: SystemCalibration, new: SystemCalibration) -> PointCloud:
@@ -111,18 +149,21 @@ def move_to_axis(cloud: PointCloud, old: SystemCalibration, new: SystemCalibrati
 
     ``new`` has the camera and the laser sheet of ``old``; axis, sense, angle error, run-out and wobble may be others.
     """
-    new_from_old = new.base_from_camera * old.base_from_camera.inv()
-    read_rad = read_angles_rad(cloud.angle_rad, old.turn_sense, old.angle_error)
-    angle_new = new.angle_error.turned_rad(read_rad) * new.turn_sense
-
-    def move(points_table: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        points_base = base_from_table(points_table, cloud.angle_rad, old)
-        return table_from_base(new_from_old.apply(points_base), angle_new, new)
-
-    moved = replace(
+    n = len(cloud)
+    points_table, viewpoints_table = np.empty((n, 3)), np.empty((n, 3))
+    angle_rad, u_calibration_mm = np.empty(n), np.empty(n)
+    factor = covariance_factor(new)
+    for here, runs in runs_of_equal(cloud.angle_rad):
+        camera_from_table = inverse_poses(poses_table_from_camera(runs.turned_rad, old))
+        points_camera = moved_by_runs(cloud.points_table[here], runs.starts, camera_from_table)
+        read_rad = read_angles_rad(runs.turned_rad, old.turn_sense, old.angle_error)
+        runs = Runs(new.angle_error.turned_rad(read_rad) * new.turn_sense, runs.starts)
+        points_table[here], viewpoints_table[here], u_calibration_mm[here] = _on_table(points_camera, runs, new, factor)
+        angle_rad[here] = np.repeat(runs.turned_rad, np.diff(runs.starts))
+    return replace(
         cloud,
-        points_table=move(cloud.points_table),
-        viewpoints_table=move(np.asarray(cloud.viewpoints_table)),
-        angle_rad=angle_new,
+        points_table=points_table,
+        viewpoints_table=viewpoints_table,
+        angle_rad=angle_rad,
+        u_calibration_mm=u_calibration_mm,
     )
-    return _with_calibration(moved, new)

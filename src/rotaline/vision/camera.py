@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from rotaline.vision.camera_kernels import undistort
+
 DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3")
 
 
@@ -66,33 +68,11 @@ class CameraModel:
     def undistort(self, xy_distorted: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Distorted to ideal normalised coordinates: Newton's method on eq. (2), to 1e-14.
 
-        Rows for which no ideal point exists (beyond the fold of a strong distortion) are NaN.
+        Rows for which no ideal point exists (beyond the fold of a strong distortion) are NaN. A row does not depend on the others.
         """
-        xy = np.array(xy_distorted, dtype=float)
-        with np.errstate(all="ignore"):
-            for _ in range(50):
-                residual = self.distort(xy) - xy_distorted
-                jacobian = self.distort_jacobian(xy)
-                determinant = jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0]
-                step = (
-                    np.stack(
-                        [
-                            jacobian[:, 1, 1] * residual[:, 0] - jacobian[:, 0, 1] * residual[:, 1],
-                            jacobian[:, 0, 0] * residual[:, 1] - jacobian[:, 1, 0] * residual[:, 0],
-                        ],
-                        axis=1,
-                    )
-                    / determinant[:, None]
-                )
-                xy = xy - step
-                if not np.nanmax(np.abs(step), initial=0.0) > 1e-14:
-                    break
-            jacobian = self.distort_jacobian(xy)
-            determinant = jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0]
-            wrong = np.linalg.norm(self.distort(xy) - xy_distorted, axis=1) > 1e-10
-            # the branch that holds the optical axis: distortion stretches, it does not fold or mirror
-            folded = ~(determinant > 0) | ~(jacobian[:, 0, 0] + jacobian[:, 1, 1] > 0)
-        xy[wrong | folded] = np.nan
+        xy = np.empty((len(xy_distorted), 2))
+        distortion = (float(value) for value in (self.k1, self.k2, self.p1, self.p2, self.k3))
+        undistort(np.ascontiguousarray(xy_distorted, dtype=float), *distortion, xy)
         return xy
 
     def project(self, points_camera: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:

@@ -145,6 +145,38 @@ def test_the_scatter_of_scans_with_calibrations_drawn_from_the_covariance_is_the
     assert stated == pytest.approx(np.std(np.tensordot(weights, moves, axes=2), axis=1), rel=0.03)
 
 
+WIDE = CameraModel((1280, 960), 900.0, 905.0, 640.0, 480.0, -0.25, 0.1, 2e-3, -1e-3, -0.02)
+
+
+@pytest.mark.parametrize("left_out", [(), ("k3", "fy", "angle_cos", "angle_sin", *MOTION_STEPS)], ids=["all", "some"])
+@pytest.mark.parametrize("motion", [None, MOTION], ids=["steady axis", "moving axis"])
+@pytest.mark.parametrize("camera", [CAMERA, WIDE], ids=["usual lens", "wide lens"])
+@pytest.mark.parametrize("curved", [False, True], ids=["flat", "curved"])
+def test_compiled_uncertainties_are_those_of_the_derivatives(curved, camera, motion, left_out):
+    """Strongly correlated errors, one that is not there at all, and points each at an angle of its own or many at one."""
+    rng = np.random.default_rng(11)
+    names = tuple(name for name in _steps(curved, motion) if name not in left_out)
+    sizes = np.array([_steps(curved, motion)[name] for name in names]) * (np.arange(len(names)) != 4)
+    mixing = sizes[:, None] * (
+        rng.normal(size=(len(names), 3)) @ rng.normal(size=(3, len(names))) + 1e-3 * np.eye(len(names))
+    )
+    system = replace(_system(-1, curved, ANGLE_ERROR, motion=motion), camera=camera)
+    system = replace(system, covariance=replace(system.covariance, names=names, matrix=mixing @ mixing.T))
+    cloud = scan_cloud(_stripes(), READ_RAD, system)
+    own_angles = rng.uniform(0, 7, len(cloud))
+    weights = rng.normal(size=(2, len(cloud), 3))
+    for angle_rad in (cloud.angle_rad, own_angles):
+        jacobian = point_sensitivities(cloud.points_table, angle_rad, system)
+        moves = jacobian @ mixing
+        u = calibration_uncertainty(cloud.points_table, angle_rad, system)
+        assert u == pytest.approx(np.sqrt(np.sum(moves**2, axis=(1, 2))), rel=1e-9)
+        stated = combination_uncertainty(weights, cloud.points_table, angle_rad, system)
+        assert stated == pytest.approx(np.linalg.norm(np.tensordot(weights, moves, axes=2), axis=1), rel=1e-9)
+    assert cloud.u_calibration_mm == pytest.approx(
+        calibration_uncertainty(cloud.points_table, cloud.angle_rad, system), rel=1e-9
+    )
+
+
 def test_many_points_are_the_same_as_few():
     system = _system()
     cloud = scan_cloud(_stripes(), READ_RAD, system)

@@ -5,7 +5,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rotaline.calibration.model import SystemCalibration, TableMotion
 from rotaline.geometry.primitives import Line, Plane, unit
 from rotaline.geometry.transforms import rotate_about_line
-from rotaline.scanning.table_pose import base_from_table, directions_base_from_table, table_from_base
+from rotaline.scanning.table_pose import (
+    base_from_table,
+    directions_base_from_table,
+    inverse_poses,
+    poses_table_from_camera,
+    table_from_base,
+)
 from rotaline.vision.camera import CameraModel
 
 CAMERA = CameraModel((1280, 960), 2400.0, 2400.0, 640.0, 480.0)
@@ -48,3 +54,15 @@ def test_without_movements_the_table_turns_about_the_axis_to_the_last_bit():
     z = Line(np.zeros(3), np.array([0.0, 0.0, 1.0]))
     assert (base_from_table(POINTS, ANGLES, _system()) == rotate_about_line(POINTS, z, ANGLES)).all()
     assert (table_from_base(POINTS, 0.7, _system()) == rotate_about_line(POINTS, z, -0.7)).all()
+
+
+@pytest.mark.parametrize("system", [_system(), MOVING], ids=["steady axis", "moving axis"])
+def test_poses_move_points_of_the_camera_to_the_table_and_back(system):
+    poses = poses_table_from_camera(ANGLES, system)
+    expected = table_from_base(system.base_from_camera.apply(POINTS + AXIS.point), ANGLES, system)
+    moved = np.einsum("nij,nj->ni", poses[:, :, :3], POINTS + AXIS.point) + poses[:, :, 3]
+    assert moved == pytest.approx(expected, abs=1e-12)
+    back = inverse_poses(poses)
+    assert np.einsum("nij,nj->ni", back[:, :, :3], moved) + back[:, :, 3] == pytest.approx(
+        POINTS + AXIS.point, abs=1e-12
+    )

@@ -1,15 +1,17 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotaline.calibration.model import AngleError, SystemCalibration, TableMotion
+from rotaline.calibration.model import AngleError, SystemCalibration, SystemCovariance, TableMotion
+from rotaline.errors import GeometryError
 from rotaline.geometry.primitives import Line, Plane, SheetCurvature, unit
 from rotaline.geometry.transforms import rotate_about_line
 from rotaline.scanning.cloud import read_angles_rad
-from rotaline.scanning.triangulation import move_to_axis, scan_cloud, triangulate
+from rotaline.scanning.table_pose import table_from_base
+from rotaline.scanning.triangulation import move_to_axis, scan_cloud, scan_points, triangulate
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.stripe.model import StripePoints
 
@@ -136,3 +138,94 @@ def test_moving_a_cloud_to_another_axis_is_scanning_with_that_axis(old_error, ne
     assert moved.points_table == pytest.approx(direct.points_table, abs=1e-9)
     assert moved.viewpoints_table == pytest.approx(direct.viewpoints_table, abs=1e-9)
     assert moved.angle_rad == pytest.approx(direct.angle_rad)
+
+
+WIDE = CameraModel((1280, 960), 700.0, 705.0, 640.0, 480.0, -0.3, 0.12, 2e-3, -1e-3, -0.02)
+BOW = SheetCurvature(AXIS.point, (2e-4, 1e-4, -1e-4))
+
+
+def _frames(n_frames, seed=0):
+    """Stripes of all lengths, none among them, all over the image and beyond its borders, with normals in all directions."""
+    rng = np.random.default_rng(seed)
+    stripes = []
+    for n in rng.integers(0, 300, n_frames) * (rng.random(n_frames) > 0.1):
+        turn = rng.uniform(0, 2 * np.pi, n)
+        stripe = _stripe(rng.uniform([-300, -300], [1580, 1260], (n, 2)))
+        normal, u_px = np.column_stack([np.cos(turn), np.sin(turn)]), rng.uniform(0.02, 0.1, n)
+        stripes.append(replace(stripe, normal=normal, u_normal_px=u_px, intensity=rng.uniform(0, 255, n)))
+    return stripes, rng.uniform(0, 2 * np.pi, n_frames)
+
+
+def _with_covariance(system):
+    names = ("fx", "cx", "k1", "plane_turn_1", "plane_offset", "axis_turn_x", "axis_shift_y", "angle_cos", "run_out_x")
+    sizes = np.array([1.0, 1.0, 1e-3, 1e-4, 1e-2, 1e-4, 1e-2, 1e-4, 1e-3])
+    return replace(system, covariance=SystemCovariance(names, np.diag(sizes**2), AXIS.point, AXIS.point))
+
+
+def _plain(stripes, angles, system):
+    """The points of all frames by plain NumPy, and their uncertainty from small moves of the pixel; NaN where these are not small enough."""
+    sheet = (system.camera, system.laser_plane_camera, system.laser_curvature)
+    points_table, eyes_table, u_mm, frames = [], [], [], []
+    turned_rad = system.turn_sense * system.angle_error.turned_rad(angles)
+    for frame, (stripe, angle) in enumerate(zip(stripes, turned_rad, strict=True)):
+        points_camera = triangulate(stripe.uv, *sheet)
+        good = np.isfinite(points_camera).all(axis=1)
+        points_base = system.base_from_camera.apply(points_camera[good])
+        points_table.append(table_from_base(points_base, float(angle), system))
+        eyes_base = system.base_from_camera.apply(np.zeros((len(points_base), 3)))
+        eyes_table.append(table_from_base(eyes_base, float(angle), system))
+        once, twice = (
+            (triangulate(stripe.uv + h * stripe.normal, *sheet) - triangulate(stripe.uv - h * stripe.normal, *sheet))
+            / h
+            for h in (0.01, 0.02)
+        )
+        slope = np.where(np.abs(once - twice) < 1e-4 * np.abs(once), (4 * once - twice) / 3, np.nan)
+        u_mm.append((np.linalg.norm(slope, axis=1) / 2 * stripe.u_normal_px)[good])
+        frames.append(np.full(np.count_nonzero(good), frame))
+    return np.vstack(points_table), np.vstack(eyes_table), np.concatenate(u_mm), np.concatenate(frames)
+
+
+@pytest.mark.parametrize("motion", [None, MOTION], ids=["steady axis", "moving axis"])
+@pytest.mark.parametrize("curvature", [None, BOW], ids=["flat", "curved"])
+@pytest.mark.parametrize("camera", [CAMERA, WIDE], ids=["usual lens", "wide lens"])
+def test_compiled_points_are_the_plain_ones(camera, curvature, motion):
+    """Beyond the fold of the wide lens, and where rays graze or miss the sheet, there are none in both."""
+    system = replace(_system(-1), camera=camera, laser_curvature=curvature, table_motion=motion)
+    system = replace(system, angle_error=AngleError(3e-3, -2e-3))
+    stripes, angles = _frames(12)
+    points_table, eyes_table, u_mm, frame = _plain(stripes, angles, system)
+    cloud = scan_points(stripes, angles, system)
+    assert (cloud.frame == frame).all()
+    assert (len(cloud) < sum(map(len, stripes))) == (camera is WIDE)
+    reach_mm = 300.0 + np.linalg.norm(points_table, axis=1)
+    assert (np.linalg.norm(cloud.points_table - points_table, axis=1) / reach_mm).max() < 1e-12
+    assert np.abs(cloud.viewpoints_table - eyes_table).max() < 1e-11
+    known = np.isfinite(u_mm)
+    assert known.mean() > 0.9
+    assert cloud.u_mm[known] == pytest.approx(u_mm[known], rel=1e-6)
+
+
+@pytest.mark.parametrize("length", [1, 7, 70])
+def test_ranges_of_frames_make_the_same_cloud_to_the_last_bit(length):
+    stripes, angles = _frames(90, seed=3)
+    system = _with_covariance(replace(_system(1), camera=WIDE, laser_curvature=BOW, table_motion=MOTION))
+    other = replace(system, rotation_axis_camera=Line(AXIS.point + 0.3, AXIS.direction), turn_sense=-1)
+    whole = scan_cloud(stripes, angles, system)
+    parts = [
+        scan_points(stripes[k : k + length], angles[k : k + length], system, first_frame=k)
+        for k in range(0, len(stripes), length)
+    ]
+    for make in (lambda cloud: cloud, lambda cloud: move_to_axis(cloud, system, other)):
+        together, apart = make(whole), [make(part) for part in parts]
+        for field in fields(whole):
+            values = getattr(together, field.name)
+            assert np.array_equal(values, np.concatenate([getattr(part, field.name) for part in apart])), field.name
+
+
+def test_a_scan_of_a_plane_seen_edge_on_or_without_an_angle_for_each_frame_is_refused():
+    stripes, angles = _frames(3)
+    with pytest.raises(GeometryError, match="edge-on"):
+        scan_points(stripes, angles, replace(_system(1), laser_plane_camera=Plane(NORMAL, 0.0)))
+    with pytest.raises(ValueError, match="3 stripes, but 2 angles"):
+        scan_points(stripes, angles[:2], _system(1))
+    assert len(scan_points([], np.empty(0), _with_covariance(replace(_system(1), table_motion=MOTION)))) == 0
