@@ -72,6 +72,13 @@ def twin(names, rig=RIG, spacing_px=SPACING_PX, **what):
     return trace_twin(rig, plan, spacing_px=spacing_px)
 
 
+@pytest.fixture(autouse=True)
+def shapes(request):
+    """Checked in the clean session; the others go the same ways."""
+    if request.node.originalname != "test_a_clean_session":
+        request.getfixturevalue("shapes_unchecked")
+
+
 @pytest.fixture(scope="module")
 def parts():
     """Every capture of the plain rig by itself: sessions are put together of them."""

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import stats
+from scipy import special
 
 from rotaline.calibration.reprojection import BundleFit, covariance_from_factor
 from rotaline.vision.targets.model import Target, TargetDetection, bend_basis
@@ -106,7 +106,7 @@ def is_bend_shown(fit: BundleFit, variance_px2: float) -> bool:
     formal = covariance_from_factor(fit.information, variance_px2)[-m:, -m:]
     by_views = fit.bend @ np.linalg.pinv(scatter) @ fit.bend * (n_views - m) / (m * (n_views - 1))
     by_noise = fit.bend @ np.linalg.pinv(formal) @ fit.bend
-    return bool(by_views > stats.f.isf(_CHANCE, m, n_views - m) and by_noise > stats.chi2.isf(_CHANCE, m))
+    return bool(by_views > special.fdtri(m, n_views - m, 1.0 - _CHANCE) and by_noise > special.chdtri(m, _CHANCE))
 
 
 def leave_one_out_changes(fit: BundleFit) -> Float[np.ndarray, "v p"]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
+from scipy import special
 
 from rotaline.calibration.reprojection import BundleFit
 
@@ -59,7 +59,7 @@ def find_conflict(fit: BundleFit, captures: Sequence[str]) -> CaptureConflict | 
     by_view, _, _ = _solve_groups(blocks, gradients, list(range(len(judged))), n_bend)
     n_between, n_within = p * (len(names) - 1), p * (len(judged) - len(names))
     within = (by_view - by_capture) / n_within
-    if not stats.f.sf((by_capture - common) / n_between / max(within, 1e-30), n_between, n_within) < _CHANCE:
+    if not special.fdtrc(n_between, n_within, (by_capture - common) / n_between / max(within, 1e-30)) < _CHANCE:
         return None
     worst: tuple[float, CaptureConflict] | None = None
     for a in range(len(names)):

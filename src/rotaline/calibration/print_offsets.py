@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import linalg, optimize, stats
+from scipy import linalg, optimize, special
 from scipy.spatial.transform import RigidTransform
 
 from rotaline.calibration.reprojection import (
@@ -95,7 +95,7 @@ def fit_print_offsets(
     if model is None:
         return None
     weight = _find_weight(model)
-    if _criterion(model, np.inf) - _criterion(model, weight) < stats.chi2.isf(2 * _CHANCE, 1):
+    if _criterion(model, np.inf) - _criterion(model, weight) < special.chdtri(1, 2 * _CHANCE):
         return None  # half the probability, as a variance of 0 is at the edge of what may be
     boards, current = list(observations), list(poses)
     for _ in range(_MAX_ROUNDS):

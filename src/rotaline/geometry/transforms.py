@@ -55,11 +55,22 @@ def base_from_axis(axis_camera: Line) -> RigidTransform:
     GeometryError
         If the axis runs through the projection centre: then x has no direction.
     """
+    rotation = Rotation.from_matrix(base_axes(axis_camera))
+    return RigidTransform.from_components(-rotation.apply(axis_camera.point), rotation)
+
+
+def base_axes(axis_camera: Line) -> Float[np.ndarray, "3 3"]:
+    """x, y and z of the base frame of a rotation axis (rows) in the camera frame: the rotation of :func:`base_from_axis`.
+
+    Raises
+    ------
+    GeometryError
+        If the axis runs through the projection centre.
+    """
     z = unit(axis_camera.direction)
     towards_camera = -axis_camera.point
     x = unit(towards_camera - (towards_camera @ z) * z)
-    rotation = Rotation.from_matrix(np.stack([x, np.cross(z, x), z]))
-    return RigidTransform.from_components(-rotation.apply(axis_camera.point), rotation)
+    return np.stack([x, np.cross(z, x), z])
 
 
 def table_from_base(angle_rad: float) -> RigidTransform:

@@ -33,8 +33,13 @@ def write_record(path: Path, value: Any, compressed: bool = False) -> None:
     arrays: dict[str, np.ndarray] = {}
     tree = json.dumps(_encode(value, arrays))
     with whole_file(path) as temporary, temporary.open("wb") as stream:
-        save = np.savez_compressed if compressed else np.savez
-        save(stream, allow_pickle=False, tree=np.array(tree), **arrays)
+        how = (
+            (zipfile.ZIP_DEFLATED, 1) if compressed else (zipfile.ZIP_STORED, None)
+        )  # measured values hardly get smaller by more
+        with zipfile.ZipFile(stream, "w", compression=how[0], compresslevel=how[1]) as archive:
+            for name, array in {"tree": np.array(tree), **arrays}.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                    np.lib.format.write_array(entry, array, allow_pickle=False)
 
 
 def read_record(path: Path) -> Any:

@@ -136,7 +136,7 @@ def _reach(points: np.ndarray, middle: np.ndarray, share: float = 0.98) -> float
 
 def _in_company(points: np.ndarray) -> np.ndarray:
     """Which points have neighbours as near as their neighbours have: all but strays (local outlier factor [1]_)."""
-    far, near = cKDTree(points).query(points, k=min(9, len(points)))
+    far, near = cKDTree(points, balanced_tree=False).query(points, k=min(9, len(points)))
     reach = far[:, -1]
     usual = np.median(reach[near[:, 1:]], axis=1)
     return (reach <= STRAY * usual) & (reach <= FAR_STRAY * float(np.median(reach)))

@@ -114,14 +114,14 @@ def correlation_length(
 def slow_variance(values: Float[np.ndarray, " n"], piece: Int[np.ndarray, " n"]) -> float:
     """Variance of standardised residuals as their means over runs of neighbours show it; 1 for independent ones, NaN for too few."""
     limited = np.clip(values, -CAUCHY, CAUCHY)
-    first = np.flatnonzero(np.diff(piece, prepend=piece[0] - 1))
-    run = np.repeat(first, np.diff(np.append(first, len(piece))))
-    _, block = np.unique(np.stack([piece, (np.arange(len(piece)) - run) // _RUN]), axis=1, return_inverse=True)
-    counts = np.bincount(block.ravel())
-    full = counts == _RUN
+    new = np.diff(piece, prepend=piece[0] - 1) != 0
+    first = np.flatnonzero(new)
+    within = np.arange(len(piece)) - np.repeat(first, np.diff(np.append(first, len(piece))))
+    starts = np.flatnonzero(within % _RUN == 0)
+    full = np.diff(np.append(starts, len(piece))) == _RUN
     if np.count_nonzero(full) < 4:
         return float("nan")
-    return float(np.mean(np.bincount(block.ravel(), weights=limited)[full] ** 2) / _RUN)
+    return float(np.mean(np.add.reduceat(limited, starts)[full] ** 2) / _RUN)
 
 
 def frame_factor(before: float, variance: float, usual: float) -> float:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
+from scipy import special
 
 from rotaline.calibration.joint.data import JointData
 from rotaline.calibration.joint.iterate import Iterated
@@ -136,7 +136,7 @@ def _assess(
     improvement = float(rhs @ rhs)
     step = np.linalg.solve(block, rhs)
     u = np.sqrt(np.diag(covariance_from_factor(block, 1.0)))
-    return Assessment(candidate, improvement, float(stats.chi2.sf(improvement, k)), step, u)
+    return Assessment(candidate, improvement, float(special.chdtrc(k, max(improvement, 0.0))), step, u)
 
 
 def likely_size(assessment: Assessment) -> float:

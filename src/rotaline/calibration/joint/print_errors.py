@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import linalg, optimize, stats
+from scipy import linalg, optimize, special
 
 from rotaline.calibration.joint.rows import Rows
 from rotaline.calibration.joint.solve import Eliminated, Solution, Triangle, back_substitute, global_factor
@@ -220,7 +220,7 @@ def learn_print_errors(
         )
         without = found.copy()
         without[t] = 0.0
-        shown = _criterion(model, without) - float(best.fun) > stats.chi2.isf(2 * _CHANCE, 1)
+        shown = _criterion(model, without) - float(best.fun) > special.chdtri(1, 2 * _CHANCE)
         found[t] = float(np.exp(best.x)) if shown else 0.0
     return found
 

@@ -14,6 +14,7 @@ References
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -76,6 +77,17 @@ class MountPoints:
     distances_mm: Float[np.ndarray, " k"]
     width_px: Float[np.ndarray, " k"]
     steepness: Float[np.ndarray, " k"]
+
+    def part(self, points: slice, chosen: Int[np.ndarray, " j"]) -> "MountPoints":
+        """Some of the points, with their numbers in another frame."""
+        return MountPoints(
+            chosen,
+            self.surface[points],
+            self.points_part[points],
+            self.distances_mm[points],
+            self.width_px[points],
+            self.steepness[points],
+        )
 
 
 def plate_rows(state: State, frame: PlateFrame, pose: Rigid, data: JointData, names: Sequence[str]) -> Rows:
@@ -174,43 +186,41 @@ def mount_rows(
         by_px = np.einsum("nij,nj->ni", bundle.by_pixel, tangent)
         _, curved = crossing(rays, by_px, depth, normal_camera, curvature, straight, gradient / length[:, None])
         shift = shift - curved / (2.0 * steepness) * (state.stripe_blur_px**2 + STRIP_VARIANCE_PX2)
+    chosen = np.flatnonzero(usable)
+    per_px = per_px[chosen]
+    scale = (1.0 / per_px)[:, None]
+    surface, by_variance = found.surface[chosen], by_variance[chosen]
+    g = normal_base[chosen]
+    local = np.hstack([-np.cross(points_base[chosen], g), -g]) * scale
+    on_sheet, bent_sheet = _sheet_columns(state, points_camera[chosen])
+    by_sheet = -lever[chosen, None] * scale
+    common = {
+        "camera": bundle.select(usable).camera_columns(by_xy[chosen], names) * scale,
+        "plane": by_sheet * on_sheet,
+        "curvature": by_sheet * bent_sheet,
+        f"sizes:{group}": by_sizes(artifact, surface) * scale,
+        "line": -by_variance[:, None],
+    }
+    residuals = found.distance[chosen] * scale[:, 0] - shift[chosen]
+    points = MountPoints(chosen, surface, points_part[chosen], residuals * per_px, width[chosen], steepness[chosen])
+    starts = np.cumsum([0, *counts[:-1]])
+    ends = np.searchsorted(number[chosen], np.arange(len(frames) + 1))
     out = []
-    sheet = _sheet_columns(state, points_camera)
-    for f, frame in enumerate(frames):
-        chosen = np.flatnonzero(usable & (number == f))
-        scale = 1.0 / per_px[chosen]
-        g = normal_base[chosen]
-        local = np.hstack([-np.cross(points_base[chosen], g), -g]) * scale[:, None]
-        part = RayBundle(bundle.camera, rays[chosen], bundle.by_pixel[chosen])
-        common = {
-            "camera": part.camera_columns(by_xy[chosen], names) * scale[:, None],
-            "plane": -lever[chosen, None] * sheet[0][chosen] * scale[:, None],
-            "curvature": -lever[chosen, None] * sheet[1][chosen] * scale[:, None],
-            f"sizes:{group}": by_sizes(artifact, found.surface[chosen]) * scale[:, None],
-            "line": -by_variance[chosen, None],
-        }
-        residuals = found.distance[chosen] * scale - shift[chosen]
-        inside = chosen - int(np.searchsorted(number, f))
+    for frame, start, (first, last) in zip(frames, starts, pairwise(ends), strict=True):
+        part = slice(first, last)
+        inside = chosen[part] - start
         rows = Rows(
-            residuals,
-            local,
-            common,
-            np.full(len(chosen), frame.stripe.group),
+            residuals[part],
+            local[part],
+            {name: columns[part] for name, columns in common.items()},
+            np.full(len(inside), frame.stripe.group),
             frame.stripe.u_px[inside],
-            np.arange(len(chosen)),
-            _pieces(inside, frame.stripe.piece[inside], found.surface[chosen]),
-            per_px[chosen],
+            np.arange(len(inside)),
+            _pieces(inside, frame.stripe.piece[inside], surface[part]),
+            per_px[part],
             None,
         )
-        points = MountPoints(
-            inside,
-            found.surface[chosen],
-            points_part[chosen],
-            residuals * per_px[chosen],
-            width[chosen],
-            steepness[chosen],
-        )
-        out.append((rows, points))
+        out.append((rows, points.part(part, inside)))
     return out
 
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy import linalg
 
 from rotaline.calibration.joint.rows import Rows
 from rotaline.calibration.joint.state import Layout
@@ -159,12 +158,16 @@ def solve(eliminated: Eliminated, prior: Float[np.ndarray, "m c"]) -> Solution:
 def back_substitute(
     own: Sequence[Float[np.ndarray, "_ _"]], step: Float[np.ndarray, " p"], covariance: Float[np.ndarray, "p p"]
 ) -> tuple[tuple[Float[np.ndarray, " _"], ...], tuple[Float[np.ndarray, " _"], ...]]:
-    """Each frame's own parameters and their variances, from the global ones."""
-    steps, variances = [], []
-    for rows in own:
-        n = len(rows)
-        inverse = linalg.solve_triangular(rows[:, :n], np.eye(n))
-        coupling = inverse @ rows[:, n:-1]
-        steps.append(-inverse @ rows[:, -1] - coupling @ step)
-        variances.append(np.sum(inverse**2, axis=1) + np.einsum("ij,jk,ik->i", coupling, covariance, coupling))
+    """Each frame's own parameters and their variances, from the global ones; frames with equally many of them at once."""
+    steps: list[np.ndarray] = [np.zeros(0)] * len(own)
+    variances: list[np.ndarray] = [np.zeros(0)] * len(own)
+    for n in {len(rows) for rows in own}:
+        members = [f for f, rows in enumerate(own) if len(rows) == n]
+        stack = np.array([own[f] for f in members])
+        inverse = np.linalg.inv(stack[:, :, :n])
+        coupling = inverse @ stack[:, :, n:-1]
+        of_members = -(inverse @ stack[:, :, -1:])[:, :, 0] - coupling @ step
+        known = np.sum(inverse**2, axis=2) + np.sum((coupling @ covariance) * coupling, axis=2)
+        for f, found, variance in zip(members, of_members, known, strict=True):
+            steps[f], variances[f] = found, variance
     return tuple(steps), tuple(variances)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
+from scipy import special
 
 from rotaline.calibration.homography import fit_homography, pose_from_homography
 from rotaline.calibration.model import CameraCalibration, TargetView
@@ -179,7 +179,7 @@ def _radial_pattern(camera: CameraCalibration) -> tuple[float, bool, float]:
         if len(own) < 4:
             continue
         mean, u = float(own.mean()), float(own.std(ddof=1) / np.sqrt(len(own)))
-        clear = bool(2 * stats.t.sf(abs(mean) / max(u, 1e-12), len(own) - 1) * _RINGS < _CHANCE * 1e3)
+        clear = bool(2 * special.stdtr(len(own) - 1, -abs(mean) / max(u, 1e-12)) * _RINGS < _CHANCE * 1e3)
         if (clear, abs(mean)) > (best[1], best[0]):
             best = (abs(mean), clear and abs(mean) > _PATTERN_PART * camera.rms_px, float(np.sign(mean)))
     return best

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
+from scipy import special
 
 from rotaline.calibration.verdict.steps_fit import LEVER_MM, SIZES, FittedSteps
 from rotaline.geometry.primitives import Line, Plane, SteppedCylinder
@@ -89,7 +89,7 @@ def explain(
             k = candidate.columns.shape[1]
             trial = problem.solve([candidates[c] for c in chosen] + [candidate])
             gain = now.chi2 - trial.chi2
-            if stats.chi2.sf(gain, k) > _CHANCE or np.linalg.norm(trial.values[-k:]) < least_mm[name]:
+            if special.chdtrc(k, max(gain, 0.0)) > _CHANCE or np.linalg.norm(trial.values[-k:]) < least_mm[name]:
                 continue
             if best is None or gain - k * price > best[0]:
                 best = gain - k * price, name
@@ -101,7 +101,7 @@ def explain(
     for name in list(chosen):
         rest = [c for c in chosen if c != name]
         without = problem.solve([candidates[c] for c in rest])
-        if stats.chi2.sf(without.chi2 - now.chi2, candidates[name].columns.shape[1]) > _CHANCE:
+        if special.chdtrc(candidates[name].columns.shape[1], max(without.chi2 - now.chi2, 0.0)) > _CHANCE:
             chosen, now = rest, without
     return problem.result(chosen, candidates, now)
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from rotaline.calibration.verdict.artifact_step import ArtifactVerdict, judge_artifact
 from rotaline.calibration.verdict.axis_step import angle_scale, judge_axis, with_true_angles, wrong_angle_scale
@@ -211,7 +211,7 @@ def judge_measurements(verdict: Verdict, entries: Sequence[MeasuredEntry]) -> Ve
     figures = tuple(
         Figure(f"error of {e.name}", e.value - e.reference, "mm", f"U = {um(2 * e.u)} (k = 2)") for e in judged
     )
-    by_chance = max(float(stats.norm.isf(0.025 / len(judged))) / 2.0, 1.0)  # in units of U
+    by_chance = max(-float(special.ndtri(0.025 / len(judged))) / 2.0, 1.0)  # in units of U
     bad = sorted((e for e in judged if ratio[e] > by_chance), key=lambda e: -ratio[e])
     n_outside = sum(r > 1 for r in ratio.values())
     inside = f"{len(judged) - n_outside} of {len(judged)} measured values agree with their references within U (k = 2)"

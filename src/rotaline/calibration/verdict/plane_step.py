@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
+from scipy import special
 
 from rotaline.calibration.model import LaserPlaneCalibration
 from rotaline.calibration.stripe_on_board import PlacedStripe, place_stripe_on_board
@@ -170,13 +170,13 @@ def _moved(
     squares = sum((w.middle / w.u_middle) ** 2 + (w.tilt / w.u_tilt) ** 2 for w in carried)
     dof = 2 * len(carried) - 3
     size = rms_of(np.array([w.middle for w in carried] + [w.tilt for w in carried]))
-    scatter_clear = dof > 0 and stats.chi2.sf(squares, dof) < _CHANCE and size > scale.matters_mm
+    scatter_clear = dof > 0 and special.chdtrc(dof, squares) < _CHANCE and size > scale.matters_mm
     typical = float(np.median([np.hypot(w.middle, w.tilt) for w in carried]))
     off = []
     for w in told:
         distance = float(np.hypot(w.middle, w.tilt))
         score = max(abs(w.middle) / w.u_middle, abs(w.tilt) / w.u_tilt)
-        if distance > max(scale.matters_mm, 4 * typical) and score > stats.norm.isf(_CHANCE / 2):
+        if distance > max(scale.matters_mm, 4 * typical) and score > -special.ndtri(_CHANCE / 2):
             off.append((distance, w))
     poses_px = float(np.median([w.rms_px for w in told]))
     off = [(d, w) for d, w in off if w.rms_px < 3 * poses_px]  # a bad pose is another matter
@@ -276,7 +276,7 @@ def _drifting(told: list[_Witness]) -> bool:
         float(np.sum((values - a @ np.linalg.lstsq(a, values, rcond=None)[0]) ** 2)) for a in (plane, drift)
     )
     f = (before - after) / max(after / (len(told) - 4), 1e-30)
-    return bool(stats.f.sf(f, 1, len(told) - 4) < 1e-3 and after < 0.3 * before)
+    return bool(special.fdtrc(1, len(told) - 4, f) < 1e-3 and after < 0.3 * before)
 
 
 def _bowed(told: list[_Witness]) -> bool:
@@ -293,7 +293,7 @@ def _bowed(told: list[_Witness]) -> bool:
         float(np.sum((values - a @ np.linalg.lstsq(a, values, rcond=None)[0]) ** 2)) for a in (linear, curved)
     )
     f = (before - after) / 3 / max(after / (len(values) - 6), 1e-30)
-    return bool(stats.f.sf(f, 3, len(values) - 6) < 1e-3 and after < 0.5 * before)
+    return bool(special.fdtrc(3, len(values) - 6, f) < 1e-3 and after < 0.5 * before)
 
 
 def _held_out(evidence: Evidence, plane: LaserPlaneCalibration) -> float:

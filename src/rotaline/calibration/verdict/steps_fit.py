@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from rotaline.calibration.verdict.steps_seen import LARGE_SIDE, SMALL_SIDE, STEP, TABLE, TOP, SeenSteps
 from rotaline.geometry.primitives import Line, Plane, SteppedCylinder, unit
 from rotaline.geometry.robust import mad_scale
-from rotaline.geometry.transforms import base_from_axis
+from rotaline.geometry.transforms import base_axes
 
 LEVER_MM = 25.0
 """Length over which turns count."""
@@ -85,10 +85,15 @@ class FittedSteps:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """Points of all mounts in one row of arrays."""
+    """Points of all mounts in one row of arrays, one mount after another.
+
+    ``in_plane``, ``across_axis``: two directions each, along which the plane and the axis are turned and moved.
+    """
 
     plane: Plane
     axis: Line
+    in_plane: Float[np.ndarray, "2 3"]
+    across_axis: Float[np.ndarray, "2 3"]
     pivot: Float[np.ndarray, "3"]
     sense: Float[np.ndarray, " n"]
     rays: Float[np.ndarray, "n 3"]
@@ -106,10 +111,10 @@ class _Model:
         r1, r2, h1 = np.array(self.sizes) + x[SIZES]
         for k in range(n_mounts):
             plane, axis = self._moved(x, k)
-            mine = self.mount == k
+            mine = slice(*np.searchsorted(self.mount, [k, k + 1]))
             rays, piece, read = self.rays[mine], self.piece[mine], self.read[mine]
             points = rays * (-plane.offset / (rays @ plane.normal))[:, None]
-            base = base_from_axis(axis).apply(points)
+            base = (points - axis.point) @ base_axes(axis).T
             a = read * (1 + x[10] / (np.pi * r2))
             a = a + (x[11] * np.cos(read) + x[12] * np.sin(read)) / r2
             a = self.sense[mine] * a
@@ -130,22 +135,20 @@ class _Model:
 
     def _moved(self, x: Float[np.ndarray, " p"], mount: int) -> tuple[Plane, Line]:
         """Plane and axis as the camera sees them when it looks at a mount."""
-        across = np.linalg.svd(self.plane.normal[None])[2][1:]
-        normal = unit(self.plane.normal + (x[0:2] / LEVER_MM) @ across)
+        normal = unit(self.plane.normal + (x[0:2] / LEVER_MM) @ self.in_plane)
         on_plane = (
             self.pivot
             - self.plane.signed_distance_to(self.pivot[None])[0] * self.plane.normal
             + x[2] * self.plane.normal
         )
-        base = base_from_axis(Line(self.pivot, self.axis.direction)).rotation.as_matrix()
-        point = self.pivot + x[3:5] @ base[:2]
-        direction = unit(self.axis.direction + (x[5:7] / LEVER_MM) @ base[:2])
+        point = self.pivot + x[3:5] @ self.across_axis
+        direction = unit(self.axis.direction + (x[5:7] / LEVER_MM) @ self.across_axis)
         for k in range(1, mount + 1):
             move = x[N_SHARED + N_MOVE * (k - 1) :][:N_MOVE]
-            turn = Rotation.from_rotvec(move[3:] / LEVER_MM)
-            normal, direction = turn.apply(normal), turn.apply(direction)
-            on_plane = turn.apply(on_plane - self.pivot) + self.pivot + move[:3]
-            point = turn.apply(point - self.pivot) + self.pivot + move[:3]
+            turn = Rotation.from_rotvec(move[3:] / LEVER_MM).as_matrix()
+            normal, direction = turn @ normal, turn @ direction
+            on_plane = turn @ (on_plane - self.pivot) + self.pivot + move[:3]
+            point = turn @ (point - self.pivot) + self.pivot + move[:3]
         return Plane(normal, -float(normal @ on_plane)), Line(point, direction)
 
     def means(self, x: Float[np.ndarray, " p"]) -> Float[np.ndarray, " g"]:
@@ -279,7 +282,8 @@ def _model(
     points = rays * (-plane.offset / (rays @ plane.normal))[:, None]
     height = (points - axis.point) @ axis.direction
     pivot = axis.point + float(np.median(height)) * axis.direction
-    base = base_from_axis(Line(pivot, axis.direction)).apply(points)
+    axes = base_axes(Line(pivot, axis.direction))
+    base = (points - pivot) @ axes.T
     turned = Rotation.from_rotvec(np.outer(-sense * read, [0.0, 0.0, 1.0])).apply(base)
     starts, radii, heights = [], [], []
     for k in range(len(seen)):
@@ -294,7 +298,10 @@ def _model(
     stated = (artifact.diameter_small / 2, artifact.diameter_large / 2, artifact.height_small)
     if all(abs(a / b - 1) < 0.05 for a, b in zip(sizes, stated, strict=True)):
         sizes = stated
-    return _Model(plane, axis, pivot, sense, rays, read, piece, mount, group, sizes, np.array(starts))
+    in_plane = np.linalg.svd(plane.normal[None])[2][1:]
+    return _Model(
+        plane, axis, in_plane, axes[:2], pivot, sense, rays, read, piece, mount, group, sizes, np.array(starts)
+    )
 
 
 def _concentric(

@@ -1,4 +1,4 @@
-"""A small orthographic renderer: triangles and points into a depth buffer, shaded in NumPy.
+"""A small orthographic renderer: triangles and points into a depth buffer, shaded.
 
 Fast enough for some hundred thousand triangles a view, and it needs no graphics hardware. The scene's frame is that of the
 points (``table`` in the report); a view is a rotation whose rows are the picture's right, its up, and the direction towards
@@ -9,10 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
+
+from rotaline.io.report.raster_kernels import draw_discs, finish
 
 _EMPTY = np.iinfo(np.int64).max
 _OVERSAMPLING = 2
+_FAR_PX = 24.0  # edges to what is so far behind get no darker
 _FRONT = np.array([0.72, 0.765, 0.81])
 _BACK = np.array([0.80, 0.70, 0.60])
 
@@ -68,28 +71,14 @@ def render_points(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Draw points as small discs, the nearest in front, with edges darkened where the depth jumps."""
     xyz, width, height = _to_pixels(points, view)
-    inside = np.isfinite(xyz).all(axis=1) & np.isfinite(colours).all(axis=1)
-    buffer = np.full(width * height, _EMPTY, dtype=np.int64)
-    ids = np.flatnonzero(inside)
-    keys = _keys(xyz[:, 2], ids)
+    xyz[~np.isfinite(colours).all(axis=1) | ~np.isfinite(xyz).all(axis=1)] = np.nan
     reach = radius_px * _OVERSAMPLING
-    steps = np.arange(-int(np.ceil(reach)), int(np.ceil(reach)) + 1)
-    column, row = np.rint(xyz[ids, 0]).astype(np.int64), np.rint(xyz[ids, 1]).astype(np.int64)
-    for dv in steps:
-        for du in steps:
-            if du * du + dv * dv > reach * reach + 0.25:
-                continue
-            u, v = column + du, row + dv
-            ok = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-            np.minimum.at(buffer, (v * width + u)[ok], keys[ok])
-    seen = buffer != _EMPTY
-    which = (buffer[seen] & 0xFFFFFFFF).astype(np.int64)
-    depth = np.full(width * height, np.nan)
-    depth[seen] = xyz[which, 2]
-    colour = np.zeros((width * height, 3))
-    colour[seen] = colours[which]
-    shade = _edge_darkening(depth.reshape(height, width), strength=0.9).reshape(-1)
-    return _finish(colour * shade[:, None], seen, width, height)
+    whole = int(np.ceil(reach))
+    dv, du = np.mgrid[-whole : whole + 1, -whole : whole + 1]
+    disc = np.stack([du, dv], axis=-1)[du * du + dv * dv <= reach * reach + 0.25]
+    depth, which = np.empty((height, width)), np.empty((height, width), dtype=np.int64)
+    draw_discs(xyz, disc, depth, which)
+    return _finished(colours, which, depth, strength=0.9)
 
 
 def render_mesh(
@@ -166,14 +155,14 @@ def _render_mesh(
     depth = np.full(width * height, np.nan)
     depth[seen] = np.einsum("ij,ij->i", weights, depths[which])
     n = np.einsum("ij,ijk->ik", weights, normals[faces[which]]) @ view.rotation.T
-    colour = np.zeros((width * height, 3))
     if colours is None:
         inner = face_normals[which] @ view.rotation[2] < 0.0
-        colour[seen] = _shade(n, np.where(inner[:, None], _BACK, _FRONT), softness=0.0)
+        colour = _shade(n, np.where(inner[:, None], _BACK, _FRONT), softness=0.0)
     else:
-        colour[seen] = _shade(n, np.einsum("ij,ijk->ik", weights, colours[faces[which]]), softness=0.6)
-    dark = _edge_darkening(depth.reshape(height, width), strength=0.35).reshape(-1)
-    return _finish(colour * dark[:, None], buffer != _EMPTY, width, height)
+        colour = _shade(n, np.einsum("ij,ijk->ik", weights, colours[faces[which]]), softness=0.6)
+    number = np.full(width * height, -1)
+    number[seen] = np.arange(len(seen))
+    return _finished(colour, number.reshape(height, width), depth.reshape(height, width), strength=0.35)
 
 
 def _to_pixels(points: Float[np.ndarray, "n 3"], view: View) -> tuple[Float[np.ndarray, "n 3"], int, int]:
@@ -183,13 +172,6 @@ def _to_pixels(points: Float[np.ndarray, "n 3"], view: View) -> tuple[Float[np.n
     xyz[:, 0] += width / 2 - 0.5
     xyz[:, 1] = height / 2 - 0.5 - xyz[:, 1]
     return xyz, width, height
-
-
-def _keys(depth: Float[np.ndarray, " n"], ids: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
-    """Sort keys: depth (nearest smallest) in the upper bits, the element's number in the lower 32."""
-    z = depth[ids]
-    low, high = (float(z.min()), float(z.max())) if len(z) else (0.0, 1.0)
-    return (_quantised(z, low, high) << 32) | ids
 
 
 def _quantised(z: Float[np.ndarray, " n"], low: float, high: float) -> Int[np.ndarray, " n"]:
@@ -300,24 +282,14 @@ def _unit(x: float, y: float, z: float) -> Float[np.ndarray, "3"]:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def _edge_darkening(depth: Float[np.ndarray, "h w"], strength: float) -> Float[np.ndarray, "h w"]:
-    """Brightness between 0 and 1: darker where a neighbour stands nearer to the viewer (an eye-dome light)."""
-    filled = np.where(np.isnan(depth), -np.inf, depth)
-    step = 2
-    padded = np.pad(filled, step, constant_values=-np.inf)
-    h, w = depth.shape
-    total = np.zeros((h, w))
-    for du, dv in ((step, 0), (-step, 0), (0, step), (0, -step)):
-        other = padded[step + dv : step + dv + h, step + du : step + du + w]
-        with np.errstate(invalid="ignore"):
-            nearer = np.clip(np.where(np.isfinite(other) & np.isfinite(filled), other - filled, 0.0), 0.0, 24.0)
-        total += nearer / 24.0
-    return np.asarray(np.exp(-strength * total))
-
-
-def _finish(colour: Float[np.ndarray, "p 3"], seen: np.ndarray, width: int, height: int) -> UInt8[np.ndarray, "h w 3"]:
-    """On a white ground, averaged down to the size that was asked for."""
-    picture: Float32[np.ndarray, "..."] = np.where(seen[:, None], colour, 1.0).astype(np.float32)
-    k = _OVERSAMPLING
-    picture = picture.reshape(height // k, k, width // k, k, 3).mean(axis=(1, 3))
-    return np.asarray((picture * 255.0 + 0.5).astype(np.uint8))
+def _finished(
+    colours: Float[np.ndarray, "n 3"],
+    which: Int[np.ndarray, "h2 w2"],
+    depth: Float[np.ndarray, "h2 w2"],
+    strength: float,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Edges darkened, on a white ground, averaged down to the size that was asked for; see :func:`finish`."""
+    height, width = which.shape
+    picture = np.empty((height // _OVERSAMPLING, width // _OVERSAMPLING, 3), dtype=np.uint8)
+    finish(np.ascontiguousarray(colours, dtype=float), which, depth, strength, _OVERSAMPLING, _FAR_PX, picture)
+    return picture

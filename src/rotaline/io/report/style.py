@@ -262,7 +262,7 @@ def _png(figure: Figure, dpi: float, palette: bool) -> bytes:
         colours[colours.min(axis=1) >= 249] = 255
         picture.putpalette(colours.ravel().tolist())
     stream = io.BytesIO()
-    picture.save(stream, format="PNG", optimize=False, compress_level=7)
+    picture.save(stream, format="PNG", optimize=False, compress_level=5)
     return stream.getvalue()
 
 

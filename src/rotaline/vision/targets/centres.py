@@ -22,7 +22,10 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import map_coordinates
+
+from rotaline.vision.targets.centre_kernels import normal_equations, read_windows
+
+_ROUNDING = 1e-6  # windows are often just as large as allowed: rounding must not decide how they are sampled
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +82,11 @@ def refine_centres(
         return Centres(np.zeros((0, 2)), none, none, none, none)
     height, width = image.shape
     lengths = np.linalg.norm(half_sides, axis=1)
-    steps = int(np.clip(np.ceil(np.percentile(lengths.max(axis=1), 90) / 0.9), 4, 24))
+    steps = int(np.clip(np.ceil(np.percentile(lengths.max(axis=1), 90) / 0.9 - _ROUNDING), 4, 24))
     axis = np.arange(-steps, steps + 1) / steps
     alpha, beta = np.meshgrid(axis, axis)
     if kind == "corner":  # only what lies near the edges can tell where they are
-        near_edge = np.minimum(np.abs(alpha), np.abs(beta)) <= edge_reach_px / float(np.median(lengths))
+        near_edge = np.minimum(np.abs(alpha), np.abs(beta)) <= edge_reach_px / float(np.median(lengths)) + _ROUNDING
         window = (1 - alpha**2) * (1 - beta**2) * near_edge
         template = np.sign(alpha * beta)
     else:
@@ -91,7 +94,9 @@ def refine_centres(
         window = np.clip((1.0 - radius) / (1.0 - dot_radius) * 2.0, 0.0, 1.0)
         template = np.where(radius < dot_radius, 1.0, -1.0)
     grid = _Window.lay(alpha, beta, window, template)
-    places = grid.places(half_sides, bend)
+    half_sides = np.ascontiguousarray(half_sides, dtype=float)
+    bend = np.zeros((n, 2, 2, 2)) if bend is None else np.ascontiguousarray(bend, dtype=float)
+    image = np.ascontiguousarray(image, dtype=np.float32)
     allowed = lengths.min(axis=1) * 0.5  # a centre that moves farther is given up
 
     centre = uv.astype(float).copy()
@@ -102,12 +107,13 @@ def refine_centres(
         index = np.flatnonzero(active)
         if not len(index):
             break
-        patch = _look_up(image, centre[index], places[index])
+        patch = np.empty((len(index), len(grid.offsets)))
+        read_windows(image, centre[index], half_sides[index], bend[index], grid.offsets, patch)
         solved = _solve(patch, grid)
         shift = np.einsum("nab,nb->na", half_sides[index], solved.shift)
         centre[index] += shift
         contrast[index], asymmetry[index] = solved.contrast, solved.asymmetry
-        agreement[index] = _correlation(solved.symmetric, grid.template, grid.weight)
+        agreement[index] = solved.agreement
         if kind == "dot":
             filled[index] = _filled_area(solved.symmetric, grid, dot_radius)
         moved = np.linalg.norm(shift, axis=1)
@@ -171,67 +177,42 @@ class _Window:
             template[counts],
         )
 
-    def places(
-        self, half_sides: Float[np.ndarray, "n 2 2"], bend: Float[np.ndarray, "n 2 2 2"] | None
-    ) -> Float[np.ndarray, "n 2 p"]:
-        """Offsets in the image, px."""
-        linear = half_sides @ self.offsets.T
-        if bend is None:
-            return linear
-        a, b = self.offsets[:, 0], self.offsets[:, 1]
-        squares = np.stack([a * a, a * b, a * b, b * b])
-        return linear + 0.5 * bend.reshape(len(bend), 2, 4) @ squares
-
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """One step of the search: shift in units of the window, symmetric part at the counting points."""
+    """One step of the search: shift in units of the window, symmetric part at the counting points; see :class:`Centres`."""
 
     shift: Float[np.ndarray, "n 2"]
     symmetric: Float[np.ndarray, "n q"]
     contrast: Float[np.ndarray, " n"]
     asymmetry: Float[np.ndarray, " n"]
-
-
-def _look_up(
-    image: np.ndarray, centre: Float[np.ndarray, "n 2"], places: Float[np.ndarray, "n 2 p"]
-) -> Float[np.ndarray, "n p"]:
-    """Grey values of the windows, smoothed by a cubic B-spline."""
-    at = centre[:, :, None] + places
-    return map_coordinates(image, [at[:, 1], at[:, 0]], output=np.float64, order=3, mode="nearest", prefilter=False)
+    agreement: Float[np.ndarray, " n"]
 
 
 def _solve(patch: Float[np.ndarray, "n p"], window: _Window) -> _Solved:
     """Least squares for the shift and the uneven light (see the module's text)."""
-    turned = patch[:, ::-1]
-    even, odd = (patch + turned) / 2, (patch - turned) / 2
-    symmetric, observed = even[:, window.counting], odd[:, window.counting]
-    w = window.weight
-    level = symmetric - (symmetric @ w)[:, None]
-    contrast = np.sqrt((level**2) @ w) + 1e-12
-    root = np.sqrt(w)
-    scale = root / contrast[:, None]
-    offsets = window.offsets[window.counting].T
-    columns = np.empty((len(patch), 6, len(w)))
-    columns[:, 0] = (even[:, window.next_alpha[0]] - even[:, window.next_alpha[1]]) * (scale / (2 * window.step))
-    columns[:, 1] = (even[:, window.next_beta[0]] - even[:, window.next_beta[1]]) * (scale / (2 * window.step))
-    columns[:, 2:4] = offsets * root
-    columns[:, 4:6] = offsets * (level * scale)[:, None, :]
-    right_side = observed * scale
-    normal = columns @ columns.transpose(0, 2, 1) + 1e-9 * np.eye(6)
-    right = (columns @ right_side[:, :, None])[..., 0]
-    solution = np.linalg.solve(normal, right[..., None])[..., 0]
-    rest = np.maximum(np.sum(right_side**2, axis=1) - np.sum(solution * right, axis=1), 0.0)
-    return _Solved(solution[:, :2], symmetric, contrast, np.sqrt(rest))
-
-
-def _correlation(
-    symmetric: Float[np.ndarray, "n q"], template: Float[np.ndarray, " q"], weight: Float[np.ndarray, " q"]
-) -> Float[np.ndarray, " n"]:
-    expected = template - template @ weight
-    level = symmetric - (symmetric @ weight)[:, None]
-    norm = np.sqrt((level**2) @ weight * (expected**2 @ weight)) + 1e-12
-    return np.asarray(level @ (expected * weight) / norm)
+    n, w = len(patch), window.weight
+    expected = window.template - window.template @ w
+    symmetric, normal, right, figures = np.empty((n, len(w))), np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((n, 3))
+    normal_equations(
+        patch,
+        window.offsets,
+        window.counting,
+        window.next_alpha,
+        window.next_beta,
+        window.step,
+        w,
+        expected,
+        symmetric,
+        normal,
+        right,
+        figures,
+    )
+    contrast, square, product = figures.T
+    solution = np.linalg.solve(normal + 1e-9 * np.eye(6), right[..., None])[..., 0]
+    rest = np.maximum(square - np.sum(solution * right, axis=1), 0.0)
+    agreement = product / (contrast * np.sqrt(expected**2 @ w) + 1e-12)
+    return _Solved(solution[:, :2], symmetric, contrast, np.sqrt(rest), agreement)
 
 
 def _filled_area(symmetric: Float[np.ndarray, "n q"], window: _Window, dot_radius: float) -> Float[np.ndarray, " n"]:

@@ -171,12 +171,12 @@ def _grow(
         if not len(around):
             continue
         offsets = uv[around] - uv[here]
-        shorter = min(np.linalg.norm(a), np.linalg.norm(b))
+        shorter = min(np.hypot(*a), np.hypot(*b))
         for di, dj in ((1, 0), (0, 1), (-1, 0), (0, -1)):
             step = di * a + dj * b
-            distance = np.linalg.norm(offsets - step, axis=1)
+            distance = np.hypot(offsets[:, 0] - step[0], offsets[:, 1] - step[1])
             best = int(distance.argmin())
-            if distance[best] < min(_STEP_TOLERANCE * np.linalg.norm(step), 0.5 * shorter):
+            if distance[best] < min(_STEP_TOLERANCE * np.hypot(*step), 0.5 * shorter):
                 target = (cell[0] + di, cell[1] + dj)
                 candidate = int(around[best])
                 if target in assigned or candidate in taken:

@@ -125,7 +125,7 @@ def panel(ax: Axes, picture: UInt8[np.ndarray, "h w 3"], view: View, title: str)
     """A rendered picture with a scale bar in mm."""
     height, width = picture.shape[:2]
     strip = round(_SCALE_BAR_SHARE * height)
-    ax.imshow(np.vstack([picture, np.full((strip, width, 3), 255, np.uint8)]), interpolation="lanczos")
+    ax.imshow(np.vstack([picture, np.full((strip, width, 3), 255, np.uint8)]), interpolation="catrom")
     ax.set_axis_off()
     ax.set_title(title, fontsize=8.5, color=style.INK, loc="left", fontweight="bold")
     length_mm = style.round_down_125(0.3 * width * view.mm_per_px)
