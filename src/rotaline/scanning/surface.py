@@ -10,7 +10,11 @@ References
 """
 
 import ctypes
+import os
+import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import ModuleType
 
@@ -23,9 +27,17 @@ from rotaline.scanning.cloud import PointCloud
 from rotaline.scanning.thinning import cell_means, extent_of, local_planes, thin_indices
 
 MIN_POINTS = 100
-DEPTHS = (5, 9)
-"""Octree depths that are used: coarser is no surface, finer needs more than 1 GiB."""
+DEPTHS = (5, 10)
+"""Octree depths that are used: coarser is no surface, finer takes minutes."""
 
+MOST_CELLS = 2_500_000
+"""Cells of the octree on the surface, each of which takes about 1 kB: the depth that follows from the spacing keeps below."""
+
+FINEST = 1 / 3000
+"""Smallest cell of thinning, as a part of the extent of the cloud."""
+
+MAX_REACH = 4.0
+"""Points whose neighbours are so many times farther away than usual are strays without company."""
 
 MAX_ASIDE = 0.75
 """Vertices farther than this from the local plane of the nearest point, in point spacings, bend away where nothing was seen."""
@@ -36,11 +48,14 @@ class SurfaceOptions:
     """How a surface is made from a cloud."""
 
     n_points: int = field(
-        default=150_000, metadata={"help": "Points to which a large cloud is thinned before meshing."}
+        default=1_500_000,
+        metadata={
+            "help": "Points to which a larger cloud is thinned before meshing; 150000 makes a quick and coarse surface."
+        },
     )
     neighbours: int = field(default=20, metadata={"help": "Neighbouring points that make the normal of a point."})
     depth: int | None = field(
-        default=None, metadata={"help": "Depth of the octree (5 to 9: more is finer); none: from the point spacing."}
+        default=None, metadata={"help": "Depth of the octree (5 to 10: more is finer); none: from the point spacing."}
     )
     trim_density: float = field(
         default=3.0,
@@ -79,24 +94,29 @@ def reconstruct_surface(cloud: PointCloud, options: SurfaceOptions | None = None
         If there are too few points, or nothing remains after trimming.
     """
     options = SurfaceOptions() if options is None else options
-    finite = np.all(np.isfinite(cloud.points_table), axis=1) & np.all(np.isfinite(cloud.viewpoints_table), axis=1)
+    finite = _finite(cloud.points_table) & _finite(cloud.viewpoints_table)
     n_finite = int(np.count_nonzero(finite))
     if n_finite < MIN_POINTS:
         raise GeometryError(
             f"A surface needs at least {MIN_POINTS} points; the cloud has {n_finite}. Scan the part with more frames."
         )
-    points, viewpoints, spacing, gaps = _prepare(cloud.select(finite), options)
-    normals, lonely = oriented_normals(points, viewpoints, options.neighbours)
-    points, normals, gaps = points[~lonely], normals[~lonely], gaps[~lonely]
+    points, viewpoints, cell, steps = _thinned(cloud if n_finite == len(cloud) else cloud.select(finite), options)
+    normals, reach = oriented_normals(points, viewpoints, options.neighbours)
+    # On a surface with evenly strewn points the j-th neighbour is about sqrt(j / pi) spacings away.
+    reach_in_spacings = float(np.sqrt(np.arange(1, max(2, options.neighbours // 2)) / np.pi).mean())
+    spacing = max(cell, float(np.median(reach)) / reach_in_spacings)
+    # Stripes lie a table step apart; that is farther on the rim than near the axis, and farther where frames are missing.
+    gaps = np.maximum(spacing, 0.35 * steps * np.hypot(points[:, 0], points[:, 1]))
+    company = reach <= MAX_REACH * float(np.median(reach))
+    points, normals, gaps = points[company], normals[company], gaps[company]
     if len(points) < MIN_POINTS:
         raise GeometryError(
             f"A surface needs at least {MIN_POINTS} neighbouring points; only {len(points)} of {n_finite} have company. "
             "Scan the part with more frames."
         )
-    depth = options.depth
-    if depth is None:
-        depth = int(np.ceil(np.log2(1.1 * float(np.ptp(points, axis=0).max()) / spacing)))
-    depth = int(np.clip(depth, *DEPTHS))
+    depth = octree_depth(float(np.ptp(points, axis=0).max()), spacing, len(points))
+    if options.depth is not None:
+        depth = int(np.clip(options.depth, *DEPTHS))
     vertices, triangles, density = _poisson(points, normals, depth)
 
     distance, nearest = cKDTree(points).query(vertices)
@@ -116,24 +136,41 @@ def reconstruct_surface(cloud: PointCloud, options: SurfaceOptions | None = None
     return _compact(vertices, triangles)
 
 
+def octree_depth(extent: float, spacing: float, n_points: int) -> int:
+    """The depth whose cells are not larger than the points' spacing, within memory.
+
+    Parameters
+    ----------
+    extent : longest side of the box around the points, mm; the octree's cube is a tenth larger
+    spacing : of the points, mm
+    n_points : points that make the surface: its area is about ``n_points * spacing**2``
+    """
+    cells_along = 1.1 * extent / spacing
+    wanted = int(np.ceil(np.log2(cells_along)))
+    affordable = int(np.floor(np.log2(cells_along * np.sqrt(MOST_CELLS / n_points))))
+    return int(np.clip(min(wanted, affordable), *DEPTHS))
+
+
 def oriented_normals(
     points: Float[np.ndarray, "n 3"], viewpoints: Float[np.ndarray, "n 3"], neighbours: int
-) -> tuple[Float[np.ndarray, "n 3"], np.ndarray]:
-    """Unit normals of local planes, turned towards the viewpoints, and a mask of strays without company (n,)."""
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Unit normals of local planes, turned towards the viewpoints, and the mean distance of the nearer half of the neighbours, mm."""
     normals, _, reach = local_planes(points, neighbours)
     towards = np.einsum("ij,ij->i", normals, viewpoints - points)
     normals[towards < 0] *= -1.0
-    return normals, reach > 4.0 * float(np.median(reach))
+    return normals, reach
 
 
-def _prepare(cloud: PointCloud, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """Thinned points and viewpoints, the cell size, and the gap to the next point that a place on the table must allow for."""
+def _finite(rows: np.ndarray) -> np.ndarray:
+    return np.asarray(np.isfinite(rows[:, 0]) & np.isfinite(rows[:, 1]) & np.isfinite(rows[:, 2]))
+
+
+def _thinned(cloud: PointCloud, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """Thinned points and viewpoints, the cell size, and the angle between the frames about each point."""
     points = cloud.points_table
-    kept, cell = thin_indices(points, options.n_points, 1 / 800)
-    # Stripes lie a table step apart; that is farther on the rim than near the axis, and farther where frames are missing.
-    steps = _steps(cloud.angle_rad)[kept]
-    gaps = np.maximum(cell, 0.35 * steps * np.hypot(points[kept, 0], points[kept, 1]))
-    return cell_means(points, kept, cell), cloud.viewpoints_table[kept], max(cell, 1e-4 * extent_of(points)), gaps
+    kept, cell = thin_indices(points, options.n_points, FINEST)
+    means = cell_means(points, kept, cell)
+    return means, cloud.viewpoints_table[kept], max(cell, 1e-4 * extent_of(points)), _steps(cloud.angle_rad)[kept]
 
 
 def _steps(angle_rad: np.ndarray) -> np.ndarray:
@@ -150,7 +187,7 @@ def _steps(angle_rad: np.ndarray) -> np.ndarray:
 def _poisson(points: np.ndarray, normals: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Vertices, triangles, and the sample density of each vertex (a power of two)."""
     o3d = _open3d()
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error), _silent_stderr():
         cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
         cloud.normals = o3d.utility.Vector3dVector(normals)
         # One thread: the solver's result would otherwise differ a little from run to run.
@@ -160,6 +197,20 @@ def _poisson(points: np.ndarray, normals: np.ndarray, depth: int) -> tuple[np.nd
         np.asarray(mesh.triangles).astype(np.int64),
         np.asarray(density).copy(),
     )
+
+
+@contextmanager
+def _silent_stderr() -> Iterator[None]:
+    """The solver writes harmless remarks ("bad average roots") straight to the process's error stream; they go nowhere."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def _open3d() -> ModuleType:

@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.spatial import cKDTree
 
+from rotaline.scanning.thinning_kernels import sum_in_and_around
+
 NEIGHBOURS = 14
 FEWEST = 150
 """Points that thinning leaves at least, if there are as many."""
@@ -28,6 +30,9 @@ THIN_CELL = 0.2
 
 PROBES = 2000
 """Points whose neighbourhoods are looked at to judge a cell size."""
+
+PIECE = 250_000
+"""Points that are looked at together: what is worked out on the way does not grow with the cloud."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,10 +126,11 @@ def thin_indices(points: Float[np.ndarray, "n 3"], n_target: int, finest: float)
 
 def cell_means(points: Float[np.ndarray, "n 3"], kept: Int[np.ndarray, " m"], cell: float) -> Float[np.ndarray, "m 3"]:
     """Mean of all points in the cells of the kept ones, mm: less noise than single points."""
-    keys = cell_keys(points, points.min(axis=0), cell)
-    cells, place, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    sums = np.column_stack([np.bincount(place, weights=column, minlength=len(cells)) for column in points.T])
-    return (sums / counts[:, None])[place[kept]]
+    origin = points.min(axis=0)
+    cells, starts, order = _grouped(cell_keys(points, origin, cell))
+    counts = np.diff(starts, append=len(points))
+    place = np.searchsorted(cells, cell_keys(points[kept], origin, cell))
+    return np.column_stack([(np.add.reduceat(column[order], starts) / counts)[place] for column in points.T])
 
 
 def _one_per_cell(points: np.ndarray, cell: float) -> np.ndarray:
@@ -132,32 +138,40 @@ def _one_per_cell(points: np.ndarray, cell: float) -> np.ndarray:
 
     Cells with far fewer points than the occupied ones around them hold strays beside a surface, and are left out.
     """
-    keys = cell_keys(points, points.min(axis=0), cell)
-    cells, counts = np.unique(keys, return_counts=True)
+    cells, starts, order = _grouped(cell_keys(points, points.min(axis=0), cell))
+    counts = np.diff(starts, append=len(points))
     around, n_around = sum_around(cells, cells, counts), sum_around(cells, cells, np.ones(len(cells)))
     crowded = counts >= THIN_CELL * around / n_around
-    order = np.argsort(keys, kind="stable")
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     return np.sort(order[(starts + counts // 2)[crowded]])
+
+
+def _grouped(
+    keys: Int[np.ndarray, " n"],
+) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"], Int[np.ndarray, " n"]]:
+    """The cells in order, where each begins in the order of the points by cell, and that order (within a cell: of the cloud)."""
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    starts = np.flatnonzero(np.diff(ordered, prepend=ordered[0] - 1))
+    return ordered[starts], starts, order
 
 
 def sum_around(
     cells: Int[np.ndarray, " m"], known: Int[np.ndarray, " k"], values: Shaped[np.ndarray, " k"]
 ) -> Float[np.ndarray, " m"]:
-    """Sum of the values of the known cells (sorted keys) over the 27 cells in and around each cell."""
+    """Sum of the values of the known cells over the 27 cells in and around each cell; both are sorted keys."""
     total = np.zeros(len(cells))
-    steps = np.array([-1, 0, 1], dtype=np.int64)
-    for shift in (steps[:, None, None] + (steps[:, None] << 20) + (steps << 40)).ravel():
-        wanted = cells + shift
-        at = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
-        total += np.where(known[at] == wanted, values[at], 0)
+    sum_in_and_around(cells, known, values.astype(float), total)
     return total
 
 
 def cell_keys(points: Float[np.ndarray, "n 3"], origin: Float[np.ndarray, "3"], cell: float) -> Int[np.ndarray, " n"]:
     """One integer a cell of a cubic grid; neighbours along x, y, z differ by 1, 2**20, 2**40."""
-    grid = np.clip(np.floor((points - origin) / cell), -(2**18), 2**19 - 1).astype(np.int64) + 2**18
-    return grid[:, 0] + (grid[:, 1] << 20) + (grid[:, 2] << 40)
+    keys = np.empty(len(points), dtype=np.int64)
+    for at in range(0, len(points), PIECE):
+        grid = np.floor((points[at : at + PIECE] - origin) / cell)
+        grid = np.clip(grid, -(2**18), 2**19 - 1).astype(np.int64) + 2**18
+        keys[at : at + PIECE] = grid[:, 0] + (grid[:, 1] << 20) + (grid[:, 2] << 40)
+    return keys
 
 
 def local_axes(
@@ -172,5 +186,5 @@ def local_axes(
 
 def extent_of(points: Float[np.ndarray, "n 3"]) -> float:
     """Size of a cloud without its outermost points, mm."""
-    low, high = np.quantile(points, [0.01, 0.99], axis=0)
+    low, high = np.transpose([np.quantile(column, [0.01, 0.99]) for column in points.T])
     return max(float(np.linalg.norm(high - low)), 1e-12)

@@ -6,7 +6,15 @@ from scipy.spatial import cKDTree
 
 from rotaline.errors import GeometryError
 from rotaline.scanning.cloud import PointCloud
-from rotaline.scanning.surface import Surface, SurfaceOptions, oriented_normals, reconstruct_surface
+from rotaline.scanning.surface import (
+    MAX_REACH,
+    MOST_CELLS,
+    Surface,
+    SurfaceOptions,
+    octree_depth,
+    oriented_normals,
+    reconstruct_surface,
+)
 from rotaline.simulation.ideal.clouds import Ball, ScanPlan, Solid, scan_solids, table_top, upright_cylinder
 
 PLAN = ScanPlan(step_deg=4.0, n_rays=400, blur_rays=1)
@@ -74,13 +82,51 @@ def test_normals_point_to_the_camera_and_strays_are_marked() -> None:
     level = np.abs(cloud.points_table[:, 2]) < 0.1
     points = np.vstack([cloud.points_table[level], [[0.0, 0.0, 90.0]]])
     eyes = np.vstack([cloud.viewpoints_table[level], [[0.0, 0.0, 500.0]]])
-    normals, lonely = oriented_normals(points, eyes, 20)
+    normals, reach = oriented_normals(points, eyes, 20)
+    lonely = reach > MAX_REACH * np.median(reach)
     inner = np.hypot(points[:, 0], points[:, 1]) < 50
     inner[-1] = False
     # At 50 mm the stripes are 7 mm apart and a neighbourhood of 20 points is a line.
     assert np.quantile(normals[inner, 2], 0.02) > 0.99
     assert lonely[-1]
     assert lonely[:-1].mean() < 0.1
+
+
+def evenly_strewn(n: int, noise_mm: float) -> PointCloud:
+    """A ball of radius 15 with points as likely on one place as on another, seen from outside."""
+    rng = np.random.default_rng(4)
+    outward = rng.normal(size=(n, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    angle = np.round(np.arctan2(outward[:, 1], outward[:, 0]), 2)
+    frame = np.unique(angle, return_inverse=True)[1].astype(np.int64)
+    points = outward * (15.0 + rng.normal(0.0, noise_mm, (n, 1)))
+    return PointCloud(points, 300.0 * outward, np.ones(n), angle, frame, np.full(n, 0.005), np.full(n, np.nan))
+
+
+def test_a_surface_follows_what_the_points_resolve_and_has_no_holes_between_them() -> None:
+    noise = 0.0005
+    found = [reconstruct_surface(evenly_strewn(n, noise)) for n in (3_000, 30_000)]
+    errors = []
+    for surface, n in zip(found, (3_000, 30_000), strict=True):
+        sides = np.concatenate([np.sort(surface.triangles[:, [i, (i + 1) % 3]], axis=1) for i in range(3)])
+        assert np.all(np.unique(sides, axis=0, return_counts=True)[1] == 2)  # closed
+        spacing = 15.0 * np.sqrt(4 * np.pi / n)
+        errors.append(np.sqrt(np.mean((np.linalg.norm(surface.vertices_table, axis=1) - 15.0) ** 2)))
+        # A ball bends away from a chord over two spacings by this much.
+        assert errors[-1] < np.hypot(noise, spacing**2 / (2 * 15.0))
+    # The octree's cells are half as wide, so chords leave the ball by a quarter.
+    assert errors[1] < 0.3 * errors[0]
+
+
+def test_the_octree_follows_the_spacing_within_memory() -> None:
+    assert octree_depth(50.0, 0.25, 50_000) == 8
+    assert octree_depth(50.0, 0.2, 50_000) == 9
+    assert octree_depth(50.0, 20.0, 100) == 5
+    assert octree_depth(50.0, 0.01, 200_000) == 10
+    # A large area: cells as wide as the points' spacing, or at most wider by one step.
+    depth = octree_depth(100.0, 0.15, 2_000_000)
+    assert depth == 9
+    assert 2_000_000 * (0.15 / (110.0 / 2**depth)) ** 2 <= MOST_CELLS
 
 
 def test_too_few_points_are_named() -> None:

@@ -1,11 +1,13 @@
 """Thinning to even density, and local normals."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotaline.scanning.thinning import cell_keys, cell_means, extent_of, thin, thin_indices
+from rotaline.scanning.thinning import PIECE, cell_keys, cell_means, extent_of, sum_around, thin, thin_indices
 
 
 def stripes(n: int = 400, gap: float = 2.0, noise: float = 0.0) -> np.ndarray:
@@ -50,3 +52,45 @@ def test_no_more_points_than_asked_for_one_a_cell(n_target: int, seed: int) -> N
 def test_the_extent_ignores_the_outermost_points() -> None:
     points = np.vstack([stripes(), [[1e4, 0.0, 0.0]]])
     assert extent_of(points) == pytest.approx(np.hypot(58, 40), rel=0.05)
+
+
+def test_sums_over_the_cells_around_are_those_of_counting_one_by_one() -> None:
+    rng = np.random.default_rng(3)
+    grid, other = (np.unique(rng.integers(0, 9, (250, 3)), axis=0) for _ in range(2))
+    keys, known = (cell_keys(cells + 0.5, np.zeros(3), 1.0) for cells in (grid, other))
+    order, known_order = np.argsort(keys), np.argsort(known)
+    values = rng.integers(1, 100, len(other))
+    near = np.all(np.abs(grid[:, None] - other[None]) <= 1, axis=2)
+    found = sum_around(keys[order], known[known_order], values[known_order])
+    assert found == pytest.approx((near * values).sum(axis=1)[order])
+    assert np.any(found == 0)
+
+
+def test_means_are_those_of_all_points_of_the_cell() -> None:
+    points = np.random.default_rng(0).uniform(0, 5, (700, 3))
+    kept, cell = np.array([3, 40, 41, 600]), 1.3
+    keys = cell_keys(points, points.min(axis=0), cell)
+    for k, mean in zip(kept, cell_means(points, kept, cell), strict=True):
+        assert mean == pytest.approx(points[keys == keys[k]].mean(axis=0), rel=1e-12)
+
+
+def test_keys_do_not_depend_on_the_pieces_in_which_they_are_made() -> None:
+    points = np.random.default_rng(0).uniform(-40, 40, (PIECE + 1000, 3))
+    low = points.min(axis=0)
+    whole = cell_keys(points, low, 0.7)
+    parts = [cell_keys(points[at], low, 0.7) for at in (slice(0, 77), slice(77, None))]
+    assert np.array_equal(whole, np.concatenate(parts))
+
+
+def test_thinning_takes_little_memory_beside_the_cloud() -> None:
+    rng = np.random.default_rng(0)
+    n = 1_000_000
+    points = np.column_stack([rng.uniform(0, 60, (n, 2)), rng.normal(0, 0.005, n)])
+    thin_indices(points[:1000], 1000, 1 / 400)  # compiled
+    tracemalloc.start()
+    kept, cell = thin_indices(points, 50_000, 1 / 400)
+    cell_means(points, kept, cell)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # Keys, their order, the keys in order, and what sorting needs: 8 bytes each. And what does not grow.
+    assert peak < 40 * n + 100 * PIECE
