@@ -33,5 +33,9 @@ class MeasurementError(RotalineError):
     """The feature was not found in the cloud."""
 
 
+class WorkError(RotalineError):
+    """Work was not done where it should be: worker processes or the cluster are gone, or run another program."""
+
+
 class OutputError(RotalineError):
     """Results cannot be written: no space, no permission."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import typer
 
-from rotaline.cli import commands, compare, diagnose, options_help, reproduce, simulate, verify  # noqa: F401  (the commands register themselves)
+from rotaline.cli import commands, compare, diagnose, options_help, pack, reproduce, simulate, verify  # noqa: F401  (the commands register themselves)
 from rotaline.cli.base import BAD_INPUT, INCOMPLETE, INTERRUPTED, NOT_POSSIBLE, NOT_WRITTEN, OK, app
 from rotaline.errors import (
     CalibrationError,

@@ -28,9 +28,18 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Session = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder with session.toml and folders of images.")]
+Session = Annotated[
+    str,
+    typer.Argument(
+        metavar="SESSION",
+        help="Folder with session.toml and folders of images, a packed session, or the address of one (s3://bucket/session, ...).",
+    ),
+]
 Out = Annotated[
-    Path | None, typer.Option("--out", help="Where results go; default: <session>-results beside the session.")
+    Path | None,
+    typer.Option(
+        "--out", help="Where results go; default: <session>-results beside the session, here for one at an address."
+    ),
 ]
 OptionsFile = Annotated[
     Path | None, typer.Option("--options", help="TOML file with options of the stages; `rotaline options` prints one.")

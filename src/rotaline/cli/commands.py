@@ -31,6 +31,26 @@ from rotaline.errors import MeasurementError, OutputError, SessionError
 if TYPE_CHECKING:
     from rotaline.io.calibration_file import CalibrationFile
     from rotaline.pipeline.run import Run, RunResult
+    from rotaline.pipeline.workers import Workers
+
+
+WorkerProcesses = Annotated[
+    int | None,
+    typer.Option(
+        "--workers",
+        min=1,
+        metavar="N",
+        help="Work on the frames with stripes in so many processes of this machine; default: threads on all cores.",
+    ),
+]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Work on the frames with stripes on a dask cluster, for example tcp://10.0.0.5:8786. Needs rotaline[cluster].",
+    ),
+]
 
 
 @app.command()
@@ -47,7 +67,7 @@ def check(session: Session, as_json: Json = False) -> None:
     if as_json:
         print_json(
             {
-                "session": str(session),
+                "session": session,
                 "usable": found is not None,
                 "image_size": found.image_size if found else None,
                 "captures": [
@@ -83,6 +103,8 @@ def run(
     method: Method = None,
     calibration: CalibrationOption = None,
     force: Force = False,
+    workers: WorkerProcesses = None,
+    cluster: Cluster = None,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -95,8 +117,8 @@ def run(
     from rotaline.io.calibration_file import read_calibration
 
     given = read_calibration(calibration) if calibration is not None else None
-    job = open_run(session, out, options, option, method, force, quiet, verbose)
-    _finish(job.everything(given), as_json)
+    with open_run(session, out, options, option, method, force, quiet, verbose, workers, cluster) as job:
+        _finish(job.everything(given), as_json)
 
 
 @app.command(cls=StageCommand)
@@ -107,13 +129,15 @@ def calibrate(
     option: Setting = None,
     method: Method = None,
     force: Force = False,
+    workers: WorkerProcesses = None,
+    cluster: Cluster = None,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Calibrate only: camera, laser plane, rotation axis; writes calibration.json."""
-    job = open_run(session, out, options, option, method, force, quiet, verbose)
-    _, content = job.calibrate()
+    with open_run(session, out, options, option, method, force, quiet, verbose, workers, cluster) as job:
+        _, content = job.calibrate()
     path = job.folder / "calibration.json"
     if as_json:
         sys.stdout.write(path.read_text(encoding="utf-8"))
@@ -136,29 +160,30 @@ def scan(
     option: Setting = None,
     method: Method = None,
     force: Force = False,
+    workers: WorkerProcesses = None,
+    cluster: Cluster = None,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Scan captures with a calibration: writes clouds/<capture>.ply and meshes/<capture>.ply and .stl."""
-    job = open_run(session, out, options, option, method, force, quiet, verbose)
-    content = _calibration_of(job, calibration)
-    clouds = job.scan(content, captures or ())
-    job.surfaces(clouds, content)
+    with open_run(session, out, options, option, method, force, quiet, verbose, workers, cluster) as job:
+        content = _calibration_of(job, calibration)
+        clouds = job.scan(content, captures or ())
+        job.surfaces(clouds, content)
+    files = {name: str(job.folder / "clouds" / f"{name}.ply") for name in clouds}
     if as_json:
-        print_json(
-            {name: {"points": len(c), "file": str(job.folder / "clouds" / f"{name}.ply")} for name, c in clouds.items()}
-        )
+        print_json({name: {"points": s.n_points, "file": files[name]} for name, s in clouds.scanned.items()})
     else:
-        for name, cloud in clouds.items():
-            typer.echo(f"{name}: {len(cloud)} points in {job.folder / 'clouds' / (name + '.ply')}")
+        for name, scanned in clouds.scanned.items():
+            typer.echo(f"{name}: {scanned.n_points} points in {files[name]}")
     _exit_by_warnings(job)
 
 
 @app.command(cls=StageCommand)
 def measure(
     source: Annotated[
-        Path, typer.Argument(metavar="SESSION|CLOUD", help="A session, or a cloud (PLY, OBJ, STL, XYZ; mm).")
+        str, typer.Argument(metavar="SESSION|CLOUD", help="A session, or a cloud (PLY, OBJ, STL, XYZ; mm).")
     ],
     feature: Annotated[
         str | None,
@@ -184,6 +209,8 @@ def measure(
     option: Setting = None,
     method: Method = None,
     force: Force = False,
+    workers: WorkerProcesses = None,
+    cluster: Cluster = None,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -193,21 +220,23 @@ def measure(
     For a session without --feature, measures what its session.toml asks for.
     """
     from rotaline.cli.arguments import lengths, region_of
+    from rotaline.io.locations import locate
     from rotaline.io.session_file import measurement_request
 
     request = None
+    from_session = not locate(source).is_local or Path(source).is_dir()
     if feature is not None:
-        name = capture or ("" if source.is_dir() else source.stem)
+        name = capture or ("" if from_session else Path(source).stem)
         request = measurement_request(
             name, feature, lengths("--reference", reference), lengths("--nominal", nominal), region_of(region)
         )
-    if source.is_dir():
+    if from_session:
         if request is not None and not capture:
             raise SessionError("--feature needs --capture FOLDER for a session.")
-        job = open_run(source, out, options, option, method, force, quiet, verbose)
-        content = _calibration_of(job, calibration)
-        clouds = job.scan(content, (capture,) if capture else ())
-        entries, initial = job.measure(clouds, content, (request,) if request is not None else ())
+        with open_run(source, out, options, option, method, force, quiet, verbose, workers, cluster) as job:
+            content = _calibration_of(job, calibration)
+            clouds = job.scan(content, (capture,) if capture else ())
+            entries, initial = job.measure(clouds, content, (request,) if request is not None else ())
         _show_entries(entries, initial, as_json)
         _exit_by_warnings(job)
         return
@@ -218,7 +247,7 @@ def measure(
     from rotaline.pipeline.options import read_options
     from rotaline.pipeline.parts import measure_points
 
-    entry = measure_points(source, request, read_options(options, tuple(option or ()), method).measure)
+    entry = measure_points(Path(source), request, read_options(options, tuple(option or ()), method).measure)
     if entry.measurement is None:
         raise MeasurementError(f"{source}: {entry.failure}")
     _show_entries((entry,), (), as_json)
@@ -254,12 +283,12 @@ def demo(
         observer.stage(f"Session in {folder}", stored=True)
     else:
         simulate(read_preset("demo"), folder, observer)
-    job = open_run(folder, None, None, None, None, False, quiet, False)
-    _finish(job.everything(), False)
+    with open_run(str(folder), None, None, None, None, False, quiet, False) as job:
+        _finish(job.everything(), False)
 
 
 def open_run(
-    session: Path,
+    session: str,
     out: Path | None,
     options: Path | None,
     settings: list[str] | None,
@@ -267,8 +296,10 @@ def open_run(
     force: bool,
     quiet: bool,
     verbose: bool,
+    workers: int | None = None,
+    cluster: str | None = None,
 ) -> "Run":
-    """A run over a session with the options of the command line; its log stands in the folder of results."""
+    """A run over a session with the options of the command line, to be closed; its log stands in the folder of results."""
     from rotaline.cli.console import ConsoleObserver
     from rotaline.io.session import read_session
     from rotaline.pipeline.options import read_options
@@ -277,10 +308,26 @@ def open_run(
     content = read_session(session)
     chosen = read_options(options, tuple(settings or ()), method)
     folder = results_folder(session, out)
-    job = Run(
-        content, folder, chosen, ConsoleObserver(0 if quiet else 1), force, on_ready=lambda: open_log(folder, verbose)
-    )
-    return job
+    observer = ConsoleObserver(0 if quiet else 1)
+    team = _workers(workers, cluster)
+    try:
+        return Run(content, folder, chosen, observer, force, lambda: open_log(folder, verbose), team)
+    except BaseException:
+        team.close()
+        raise
+
+
+def _workers(processes: int | None, cluster: str | None) -> "Workers":
+    """Who works on the frames: threads, processes or a cluster."""
+    from rotaline.pipeline.workers import ProcessWorkers, ThreadWorkers
+
+    if processes is not None and cluster is not None:
+        raise SessionError("--workers and --cluster: choose one; a cluster has its own workers.")
+    if cluster is not None:
+        from rotaline.pipeline.cluster import ClusterWorkers
+
+        return ClusterWorkers(cluster)
+    return ThreadWorkers() if processes is None else ProcessWorkers(processes)
 
 
 def open_log(folder: Path, verbose: bool = False) -> None:

@@ -118,9 +118,7 @@ def _mm(value: float | None, signed: bool = False) -> str:
     return f"{value:+.4f}" if signed else f"{value:.4f}"
 
 
-def show_check(
-    path: Path, session: Session | None, stages: Sequence[PlannedStage], problems: Sequence[Problem]
-) -> None:
+def show_check(path: str, session: Session | None, stages: Sequence[PlannedStage], problems: Sequence[Problem]) -> None:
     """What a session folder holds, which stages it allows, what is wrong with it."""
     console = Console(highlight=False)
     if session is not None:

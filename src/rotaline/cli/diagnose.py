@@ -1,6 +1,5 @@
 """The command that says whether a calibration is good, which step spoils it, and what to do."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -30,7 +29,7 @@ EXIT_CODES = {"pass": OK, "doubtful": INCOMPLETE, "fail": NOT_POSSIBLE, "none": 
 @app.command("diagnose", cls=StageCommand)
 def diagnose_command(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="A session, or the results of `rotaline run` or `rotaline calibrate`.")
+        str, typer.Argument(metavar="DIR", help="A session, or the results of `rotaline run` or `rotaline calibrate`.")
     ],
     out: Out = None,
     options: OptionsFile = None,

@@ -29,7 +29,7 @@ def _cache_folder() -> Path:
     """Beside the package, where that can be written; else in the user's folder for such things."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(package.rglob("*kernels.py")):
+    for path in (Path(__file__), *sorted(package.rglob("*kernels.py"))):
         digest.update(path.read_bytes())
     name = f"kernels-{digest.hexdigest()[:16]}"
     for base in (
@@ -53,6 +53,9 @@ def compiled(function: F) -> F:
     """Compile a kernel for the types of its arguments when it is called with them.
 
     Divisions by zero give infinities as in NumPy. Sums may be reordered (for vector instructions), but NaN and infinities keep their meaning.
+    Kernels that are called become part of the one that calls, or else the order would depend on whether their machine code was stored.
     """
     fastmath = {"reassoc", "contract", "arcp", "nsz"}
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function))
+    return cast(
+        F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath, forceinline=True)(function)
+    )

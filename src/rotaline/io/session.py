@@ -1,22 +1,24 @@
-"""The session folder: what a rig has taken and what is known about the targets.
+"""The session: what a rig has taken and what is known about the targets.
 
-:func:`inspect_session` reads a folder and lists everything that is wrong with it; :func:`read_session` raises on errors.
+:func:`inspect_session` reads a folder or a packed session and lists everything that is wrong with it; :func:`read_session` raises on errors.
 Angles are in rad from here on, lengths in mm. Nothing is ever written into a session.
 """
 
 import csv
 import math
+import os
 from collections import Counter
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import PurePath
 from typing import Any
 
 from rotaline.calibration.speckle_limit import LaserOptics
 from rotaline.errors import SessionError
 from rotaline.geometry.primitives import Artifact
-from rotaline.io.frame_images import ImageFile, ImageSource
+from rotaline.io.frame_images import ImageSource
+from rotaline.io.locations import locate
+from rotaline.io.session_access import FRAMES_FILE, SessionFiles, open_session_files
 from rotaline.io.session_file import SESSION_FILE, MeasurementRequest, SessionFile, parse_session_file
-from rotaline.vision.images import image_size
 from rotaline.vision.targets.model import Target
 
 COLUMNS = ("image", "angle_deg", "laser", "pose")
@@ -82,9 +84,12 @@ class Capture:
 
 @dataclass(frozen=True)
 class Session:
-    """A session as read; ``image_size`` is (width, height) of all its frames; ``optics`` is None where they are not stated."""
+    """A session as read; ``path`` as given: a folder, a packed session, or the address of one.
 
-    path: Path
+    ``image_size`` is (width, height) of all its frames; ``optics`` is None where they are not stated.
+    """
+
+    path: str | os.PathLike[str]
     targets: dict[str, Target | Artifact]
     captures: tuple[Capture, ...]
     measurements: tuple[MeasurementRequest, ...]
@@ -92,13 +97,22 @@ class Session:
     problems: tuple[Problem, ...] = field(default=())
     optics: LaserOptics | None = None
 
+    @property
+    def name(self) -> str:
+        """The name of its folder; a packed session has that of the folder that it was made from."""
+        return locate(self.path).name
+
     def in_role(self, role: str) -> tuple[Capture, ...]:
         """The captures of one role, in the order of the file."""
         return tuple(c for c in self.captures if c.role == role)
 
 
-def inspect_session(path: Path) -> tuple[Session | None, tuple[Problem, ...]]:
+def inspect_session(path: str | os.PathLike[str]) -> tuple[Session | None, tuple[Problem, ...]]:
     """Read a session and list all that is wrong with it.
+
+    Parameters
+    ----------
+    path : a folder, a packed session, or the address of one, e.g. ``s3://bucket/session``
 
     Returns
     -------
@@ -106,20 +120,16 @@ def inspect_session(path: Path) -> tuple[Session | None, tuple[Problem, ...]]:
         Without the elements that are left out; None if a problem is fatal
     problems : tuple of Problem
     """
-    if not path.exists():
-        return None, (Problem(str(path), "there is no such folder. Expected a session: a folder with session.toml."),)
-    if not path.is_dir():
-        return None, (Problem(str(path), "this is a file; expected a session: a folder with session.toml."),)
-    if not (path / SESSION_FILE).is_file():
-        inside = "the folder is empty" if not any(path.iterdir()) else f"there is no {SESSION_FILE} in it"
-        return None, (
-            Problem(str(path), f"{inside}. A session is a folder with {SESSION_FILE} and folders of images."),
-        )
-    content, texts = parse_session_file(path / SESSION_FILE)
+    try:
+        files = open_session_files(path)
+    except SessionError as error:
+        place = os.fspath(path)
+        return None, (Problem(place, str(error).removeprefix(f"{place}: ")),)
+    content, texts = parse_session_file(files.session_file(), f"{files.label}/{SESSION_FILE}")
     problems = [Problem(where, text, fatal) for where, text, fatal in texts]
     if content is None:
         return None, tuple(problems)
-    captures, sizes = _read_captures(path, content, problems)
+    captures, sizes = _read_captures(files, content, problems)
     if not problems or not any(p.fatal for p in problems):
         problems += _size_problems(sizes)
         problems += _role_problems(captures)
@@ -132,8 +142,8 @@ def inspect_session(path: Path) -> tuple[Session | None, tuple[Problem, ...]]:
     return Session(path, content.targets, tuple(captures), measurements, size, found, content.optics), found
 
 
-def read_session(path: Path) -> Session:
-    """Read a session folder.
+def read_session(path: str | os.PathLike[str]) -> Session:
+    """Read a session: a folder, a packed session, or the address of one.
 
     Raises
     ------
@@ -147,36 +157,34 @@ def read_session(path: Path) -> Session:
 
 
 def _read_captures(
-    path: Path, content: SessionFile, problems: list[Problem]
-) -> tuple[list[Capture], dict[Path, tuple[int, int]]]:
+    files: SessionFiles, content: SessionFile, problems: list[Problem]
+) -> tuple[list[Capture], dict[str, tuple[int, int]]]:
     captures: list[Capture] = []
-    sizes: dict[Path, tuple[int, int]] = {}
+    sizes: dict[str, tuple[int, int]] = {}
     folders: dict[str, tuple[Frame, ...]] = {}
     for request in content.captures:
         if request.folder not in folders:
-            folders[request.folder] = _read_frames(path / request.folder, request.folder, sizes, problems)
+            folders[request.folder] = _read_frames(files, request.folder, sizes, problems)
         target = content.targets.get(request.target) if request.target else None
         captures.append(Capture(request.folder, request.role, request.target or "", target, folders[request.folder]))
     return captures, sizes
 
 
 def _read_frames(
-    folder: Path, label: str, sizes: dict[Path, tuple[int, int]], problems: list[Problem]
+    files: SessionFiles, folder: str, sizes: dict[str, tuple[int, int]], problems: list[Problem]
 ) -> tuple[Frame, ...]:
-    table = folder / "frames.csv"
-    if not folder.is_dir():
-        text = f"there is no folder '{label}' in the session. Copy it there, or remove the capture from session.toml."
-        problems.append(Problem(f"session.toml, capture '{label}'", text))
-        return ()
-    if not table.is_file():
-        problems.append(
-            Problem(str(table), f"the file is missing. Expected a table with the header {','.join(COLUMNS)}.")
-        )
+    table = f"{files.label}/{folder}/{FRAMES_FILE}"
+    if not files.has_folder(folder):
+        text = f"there is no folder '{folder}' in the session. Copy it there, or remove the capture from session.toml."
+        problems.append(Problem(f"session.toml, capture '{folder}'", text))
         return ()
     try:
-        text = table.read_text(encoding="utf-8-sig")
+        text = files.frames_file(folder).decode("utf-8-sig")
+    except FileNotFoundError:
+        problems.append(Problem(table, f"the file is missing. Expected a table with the header {','.join(COLUMNS)}."))
+        return ()
     except (OSError, UnicodeDecodeError) as error:
-        problems.append(Problem(str(table), f"the table cannot be read as UTF-8 text ({error})."))
+        problems.append(Problem(table, f"the table cannot be read as UTF-8 text ({error})."))
         return ()
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
     header = [name.strip() for name in reader.fieldnames or []]
@@ -193,26 +201,26 @@ def _read_frames(
     reader.fieldnames = header
     frames: list[Frame] = []
     for row in reader:
-        frame = _read_row(folder, label, row, f"{table}, line {reader.line_num}", sizes, problems)
+        frame = _read_row(files, folder, row, f"{table}, line {reader.line_num}", sizes, problems)
         if frame is not None:
             frames.append(frame)
-    if not frames and not any(str(folder) in p.where for p in problems):
-        problems.append(Problem(str(table), "the table lists no frames. Expected one row a frame."))
+    if not frames and not any(f"{files.label}/{folder}" in p.where for p in problems):
+        problems.append(Problem(table, "the table lists no frames. Expected one row a frame."))
     return tuple(frames)
 
 
 def _read_row(
-    folder: Path,
-    label: str,
+    files: SessionFiles,
+    folder: str,
     row: dict[str, Any],
     where: str,
-    sizes: dict[Path, tuple[int, int]],
+    sizes: dict[str, tuple[int, int]],
     problems: list[Problem],
 ) -> Frame | None:
     values = {name: (row.get(name) or "").strip() for name in COLUMNS}
     before = len(problems)
     image = values["image"]
-    if not image or Path(image).name != image:
+    if not image or PurePath(image).name != image:
         problems.append(Problem(f"{where}, image", f"found '{image}', expected the name of a file beside frames.csv."))
     angle: float | None = None
     if values["angle_deg"]:
@@ -231,17 +239,17 @@ def _read_row(
         problems.append(Problem(f"{where}, laser", f"found '{values['laser']}', expected 'on' or 'off'."))
     if len(problems) > before:
         return None
-    path = folder / image
+    path = f"{files.label}/{folder}/{image}"
     try:
-        sizes[path] = image_size(path)
+        source, sizes[path] = files.image(folder, image)
     except SessionError as error:
         text = str(error).removeprefix(f"{path}: ")
         problems.append(Problem(f"{where}, {path}", f"{text} The frame is left out.", fatal=False))
         return None
-    return Frame(ImageFile(str(path)), f"{label}/{image}", angle, values["laser"] == "on", values["pose"] or None)
+    return Frame(source, f"{folder}/{image}", angle, values["laser"] == "on", values["pose"] or None)
 
 
-def _size_problems(sizes: dict[Path, tuple[int, int]]) -> list[Problem]:
+def _size_problems(sizes: dict[str, tuple[int, int]]) -> list[Problem]:
     if not sizes:
         return [Problem("session", "no image can be read. Expected at least one capture with frames.")]
     counts = Counter(sizes.values())
@@ -251,7 +259,7 @@ def _size_problems(sizes: dict[Path, tuple[int, int]]) -> list[Problem]:
         example = next(path for path, found in sizes.items() if found == size)
         problems.append(
             Problem(
-                str(example),
+                example,
                 f"{n} image(s) of {size[0]} x {size[1]} pixels, but {n_usual} of {usual[0]} x {usual[1]}. All frames of a "
                 "session must come from one camera at one resolution: put the others into a session of their own.",
             )

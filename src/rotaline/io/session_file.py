@@ -3,7 +3,6 @@
 import re
 import tomllib
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated, Any, Literal, cast, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, ValidationError
@@ -165,8 +164,8 @@ class SessionFile:
         self.optics = content.optics.value() if content.optics is not None else None
 
 
-def parse_session_file(path: Path) -> tuple[SessionFile | None, list[tuple[str, str, bool]]]:
-    """Read and check a ``session.toml``.
+def parse_session_file(data: bytes, label: str) -> tuple[SessionFile | None, list[tuple[str, str, bool]]]:
+    """Check the content of a ``session.toml``; ``label`` is the file's name for messages.
 
     Returns
     -------
@@ -176,28 +175,26 @@ def parse_session_file(path: Path) -> tuple[SessionFile | None, list[tuple[str, 
         All that is wrong: file, line, field; found, expected
     """
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-        data = tomllib.loads(text)
-    except OSError as error:
-        return None, [(str(path), f"the file cannot be read ({error.strerror}).", True)]
+        text = data.decode("utf-8-sig")
+        parsed = tomllib.loads(text)
     except UnicodeDecodeError as error:
-        return None, [(str(path), f"the file is not UTF-8 text (byte {error.start}). Save it as UTF-8.", True)]
+        return None, [(label, f"the file is not UTF-8 text (byte {error.start}). Save it as UTF-8.", True)]
     except tomllib.TOMLDecodeError as error:
         place = re.search(r"at line (\d+)", str(error))
-        at = f"{path}, line {place[1]}" if place else str(path)
+        at = f"{label}, line {place[1]}" if place else label
         return None, [(at, f"this is not valid TOML: {error}.", True)]
     try:
-        content = _File.model_validate(data)
+        content = _File.model_validate(parsed)
     except ValidationError as error:
-        return None, [_explain(path, text, data, dict(entry)) for entry in error.errors()]
+        return None, [_explain(label, text, dict(entry)) for entry in error.errors()]
     result = SessionFile(content)
-    problems = _target_problems(path, text, result)
-    problems += _tolerance_problems(path, text, result) + _check_problems(path, text, result)
-    problems += _unknown_keys(path, text, content)
+    problems = _target_problems(label, text, result)
+    problems += _tolerance_problems(label, text, result) + _check_problems(label, text, result)
+    problems += _unknown_keys(label, text, content)
     return (None if any(fatal for _, _, fatal in problems) else result), problems
 
 
-def _target_problems(path: Path, text: str, content: SessionFile) -> list[tuple[str, str, bool]]:
+def _target_problems(path: str, text: str, content: SessionFile) -> list[tuple[str, str, bool]]:
     problems = []
     for index, capture in enumerate(content.captures):
         at = where(path, text, ("captures", index, "target"))
@@ -240,7 +237,7 @@ def _target_problems(path: Path, text: str, content: SessionFile) -> list[tuple[
     return problems
 
 
-def _tolerance_problems(path: Path, text: str, content: SessionFile) -> list[tuple[str, str, bool]]:
+def _tolerance_problems(path: str, text: str, content: SessionFile) -> list[tuple[str, str, bool]]:
     """Sizes that their tolerance leaves nothing of."""
     problems = []
     for name, target in content.targets.items():
@@ -255,7 +252,7 @@ def _tolerance_problems(path: Path, text: str, content: SessionFile) -> list[tup
     return problems
 
 
-def _check_problems(path: Path, text: str, content: SessionFile) -> list[tuple[str, str, bool]]:
+def _check_problems(path: str, text: str, content: SessionFile) -> list[tuple[str, str, bool]]:
     """A check needs a reference, and a scan that the calibration does not use."""
     fitted = {capture.folder for capture in content.captures if capture.role == "artifact"}
     problems = []
@@ -272,7 +269,7 @@ def _check_problems(path: Path, text: str, content: SessionFile) -> list[tuple[s
     return problems
 
 
-def _unknown_keys(path: Path, text: str, content: _File) -> list[tuple[str, str, bool]]:
+def _unknown_keys(path: str, text: str, content: _File) -> list[tuple[str, str, bool]]:
     tables: list[tuple[tuple[Any, ...], _Table]] = [((), content)]
     tables += [(("targets", name), table) for name, table in content.targets.items()]
     tables += [(("captures", i), table) for i, table in enumerate(content.captures)]
@@ -285,7 +282,7 @@ def _unknown_keys(path: Path, text: str, content: _File) -> list[tuple[str, str,
     ]
 
 
-def _explain(path: Path, text: str, data: dict[str, Any], error: dict[str, Any]) -> tuple[str, str, bool]:
+def _explain(path: str, text: str, error: dict[str, Any]) -> tuple[str, str, bool]:
     place = tuple(part for i, part in enumerate(error["loc"]) if not (i == 2 and part in _KINDS))
     kind, context = error["type"], error.get("ctx", {})
     if kind == "missing":

@@ -1,11 +1,13 @@
 """Is a calibration good? The verdict on a session, or the one that stands in a folder of results."""
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rotaline.calibration.verdict.model import STEPS, Finding, StepVerdict, Verdict
 from rotaline.errors import SessionError
 from rotaline.io.session import Problem, inspect_session
+from rotaline.io.session_access import is_session
 from rotaline.io.session_file import SESSION_FILE
 from rotaline.io.verdict_file import VERDICT_FILE, read_verdict
 from rotaline.pipeline.run import Run
@@ -14,12 +16,12 @@ UNREADABLE_SESSION = "session cannot be read"
 MOST_SHOWN = 5
 
 
-def diagnose(folder: Path, start: Callable[[], Run]) -> Verdict:
+def diagnose(folder: str | os.PathLike[str], start: Callable[[], Run]) -> Verdict:
     """The verdict on a session, which is calibrated for it, or the stored one of a folder of results.
 
     Parameters
     ----------
-    folder : Path   a session or results of ``rotaline run``, ``calibrate`` or ``diagnose``
+    folder : a session or results of ``rotaline run``, ``calibrate`` or ``diagnose``
     start : makes the run over the session
 
     Raises
@@ -27,8 +29,8 @@ def diagnose(folder: Path, start: Callable[[], Run]) -> Verdict:
     SessionError
         If the folder is neither a session nor holds a verdict.
     """
-    if not (folder / SESSION_FILE).is_file():
-        return _stored(folder)
+    if not is_session(folder):
+        return _stored(Path(folder))
     session, problems = inspect_session(folder)
     if session is None:
         return unreadable_session([p for p in problems if p.fatal])

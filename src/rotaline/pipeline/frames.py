@@ -1,10 +1,7 @@
-"""Work on frames side by side: target detection and stripe extraction, a few frames in memory at a time."""
+"""What is found in frames: targets, which are detected side by side, and the stripes of a row of frames as one value."""
 
-import os
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import TypeVar
 
@@ -13,11 +10,10 @@ from jaxtyping import Bool, Float, Int
 
 from rotaline.errors import DetectionError
 from rotaline.io.frame_images import read_source
-from rotaline.io.session import Capture, Frame
+from rotaline.io.session import Frame
 from rotaline.pipeline.observer import Observer
-from rotaline.vision.background import shows_same_scene
+from rotaline.pipeline.workers import ThreadWorkers
 from rotaline.vision.images import one_thread_per_image
-from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 from rotaline.vision.stripe.model import StripePoints
 from rotaline.vision.targets.detect import TargetOptions, detect_target
 from rotaline.vision.targets.model import Target, TargetDetection
@@ -29,21 +25,10 @@ B = TypeVar("B")
 def work_side_by_side(function: Callable[[A], B], items: Sequence[A], observer: Observer, label: str) -> Iterator[B]:
     """``function`` of every item, in order, on all cores; no more than a few items are under way at a time."""
     one_thread_per_image()
-    workers = os.cpu_count() or 1
-    waiting: deque[Future[B]] = deque()
-    with observer.work(label, len(items)) as count, ThreadPoolExecutor(workers) as pool:
-        try:
-            for item in items:
-                waiting.append(pool.submit(function, item))
-                if len(waiting) > 2 * workers:
-                    yield waiting.popleft().result()
-                    count()
-            while waiting:
-                yield waiting.popleft().result()
-                count()
-        finally:
-            for future in waiting:
-                future.cancel()
+    with observer.work(label, len(items)) as count:
+        for result in ThreadWorkers().run(function, items):
+            yield result
+            count()
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +60,7 @@ def detect_frames(
 
 @dataclass(frozen=True, eq=False)
 class CaptureStripes:
-    """The stripes of a capture's frames, one after another; ``frame`` says which frame a point belongs to."""
+    """The stripes of frames of a capture, one after another; ``frame`` says which frame a point belongs to, counted from the first of them."""
 
     frame_names: tuple[str, ...]
     angles_rad: Float[np.ndarray, " f"]
@@ -105,20 +90,21 @@ class CaptureStripes:
             for a, b in pairwise(starts)
         )
 
+    def points_per_frame(self) -> Int[np.ndarray, " f"]:
+        """Number of points in each frame."""
+        return np.bincount(self.frame, minlength=len(self.frame_names))
 
-def extract_capture(capture: Capture, options: StripeOptions, observer: Observer, label: str) -> CaptureStripes:
-    """The stripe in every laser-on frame of a capture; laser-off frames of the same angle or pose are background."""
+    def select(self, keep: Bool[np.ndarray, " n"]) -> "CaptureStripes":
+        """The same frames with the points for which ``keep`` is true."""
+        columns = {name: getattr(self, name)[keep] for name in _COLUMNS}
+        return CaptureStripes(self.frame_names, self.angles_rad, self.poses, **columns)
 
-    def extract(frame: Frame) -> StripePoints:
-        image = read_source(frame.source)
-        off = capture.background_of(frame)
-        background = read_source(off.source) if off is not None else None
-        if background is not None and not shows_same_scene(image, background):
-            background = None
-        return extract_stripe(image, background, options)
 
-    frames = capture.on_frames
-    stripes = list(work_side_by_side(extract, frames, observer, label))
+_COLUMNS = tuple(f.name for f in fields(CaptureStripes))[3:]
+
+
+def pack_stripes(frames: Sequence[Frame], stripes: Sequence[StripePoints]) -> CaptureStripes:
+    """The stripes of frames as one value; what need not be exact takes half the memory."""
     small = np.float32
     return CaptureStripes(
         frame_names=tuple(f.name for f in frames),
@@ -132,4 +118,17 @@ def extract_capture(capture: Capture, options: StripeOptions, observer: Observer
         u_normal_px=np.concatenate([s.u_normal_px for s in stripes]).astype(small),
         saturated=np.concatenate([s.saturated for s in stripes]),
         segment=np.concatenate([s.segment for s in stripes]).astype(np.int32),
+    )
+
+
+def join_stripes(parts: Sequence[CaptureStripes]) -> CaptureStripes:
+    """The stripes of ranges of frames, one after the other, as those of one range."""
+    first = np.cumsum([0, *(len(part.frame_names) for part in parts)])
+    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS[1:]}
+    return CaptureStripes(
+        frame_names=tuple(name for part in parts for name in part.frame_names),
+        angles_rad=np.concatenate([part.angles_rad for part in parts]),
+        poses=tuple(pose for part in parts for pose in part.poses),
+        frame=np.concatenate([part.frame + np.int32(n) for part, n in zip(parts, first[:-1], strict=True)]),
+        **columns,
     )

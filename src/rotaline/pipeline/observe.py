@@ -7,7 +7,8 @@ from rotaline.calibration.observations import MountObservation
 from rotaline.calibration.stripe_on_board import StripeView
 from rotaline.geometry.primitives import KnownCylinder, KnownSphere, SteppedCylinder
 from rotaline.io.session import Capture, Session
-from rotaline.pipeline.frames import CaptureStripes, DetectedFrame, detect_frames, extract_capture
+from rotaline.pipeline.capture_ranges import ranges_of
+from rotaline.pipeline.frames import CaptureStripes, DetectedFrame, detect_frames
 from rotaline.pipeline.observer import Observer
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.stage_runner import StoredStageRunner
@@ -157,12 +158,6 @@ class SessionSource:
 def stored_stripes(
     capture: Capture, options: Options, store: StageStore, observer: Observer
 ) -> tuple[CaptureStripes, str]:
-    """The stripes of a capture, from the store or extracted, and their key."""
-    key = key_of(sources_key(f.source for f in capture.frames), options.stripe, [f.angle_rad for f in capture.frames])
-    stripes = store.get(
-        f"stripes-{capture.folder}",
-        f"Stripes in {capture.folder}",
-        key,
-        lambda: extract_capture(capture, options.stripe, observer, capture.folder),
-    )
-    return stripes, key
+    """The stripes of a capture as a whole, from the store or extracted, and their key."""
+    ranges = ranges_of(capture, options, store, observer)
+    return ranges.joined, ranges.key

@@ -50,6 +50,12 @@ class ScanOptions:
     max_u_mm: float | None = field(
         default=None, metadata={"help": "leave out points with a larger standard uncertainty, mm; default: keep all"}
     )
+    max_points_in_memory: int = field(
+        default=1_000_000,
+        metadata={
+            "help": "of a capture with more points, features, surface and pictures are made from every n-th; its cloud file holds all"
+        },
+    )
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Scans and what is made from them: clouds, the table's height, surfaces, measured features."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -35,7 +35,7 @@ def make_cloud(stripes: CaptureStripes, system: SystemCalibration, options: Scan
     return cloud if options.max_u_mm is None else cloud.select(cloud.u_mm <= options.max_u_mm)
 
 
-def place_on_table(system: SystemCalibration, clouds: Sequence[PointCloud]) -> SystemCalibration:
+def place_on_table(system: SystemCalibration, clouds: Iterable[PointCloud]) -> SystemCalibration:
     """The same system with z = 0 on the table top, if the clouds (made with ``system``) show it.
 
     The table is seen beside the part; the median over the clouds counts. Where none shows it, z = 0 stays where it is.

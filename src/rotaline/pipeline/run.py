@@ -1,19 +1,17 @@
 """The main job: calibrate, scan, measure, reconstruct, report; and the parts of it as commands of their own."""
 
-import hashlib
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from rotaline.calibration.model import AngleError, SystemCalibration
 from rotaline.calibration.verdict.model import Verdict
-from rotaline.errors import GeometryError, SessionError
+from rotaline.errors import SessionError
 from rotaline.io.calibration_file import CalibrationFile, write_calibration
-from rotaline.io.clouds import write_cloud, write_mesh
+from rotaline.io.clouds import write_mesh
 from rotaline.io.files import write_json
+from rotaline.io.locations import locate
 from rotaline.io.records import read_record, write_record
 from rotaline.io.report.contents import STAGES, CloudSummary, ReportContents, StageWarning, SurfaceSummary
 from rotaline.io.report.write import write_report
@@ -22,24 +20,24 @@ from rotaline.io.session import Capture, Session
 from rotaline.io.session_file import MeasurementRequest
 from rotaline.io.verdict_file import VERDICT_FILE, write_verdict
 from rotaline.pipeline.calibrate import CalibrationParts, calibrate_session
+from rotaline.pipeline.capture_ranges import CaptureRanges, ranges_of
 from rotaline.pipeline.judge import judge_measured, judge_parts
-from rotaline.pipeline.observe import stored_stripes
+from rotaline.pipeline.measure import measure_captures
 from rotaline.pipeline.observer import Observer
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.parts import (
-    make_cloud,
-    measure_request,
     measurement_requests,
     place_on_table,
     reference_contradiction,
     system_at_optical_axis,
 )
 from rotaline.pipeline.quality import quality_figures
-from rotaline.pipeline.store import StageStore, check_writable, key_of
+from rotaline.pipeline.scan import KEPT_CLOUDS, Clouds, ScannedCapture, scan_capture
+from rotaline.pipeline.store import StageStore, check_writable
 from rotaline.pipeline.summary import fitted_points, frame_overlays, report_contents, thinned
+from rotaline.pipeline.surfaces import stored_surface
+from rotaline.pipeline.workers import Workers
 from rotaline.scanning.cloud import PointCloud
-from rotaline.scanning.surface import reconstruct_surface
-from rotaline.scanning.triangulation import move_to_axis
 
 REPORT_RECORD = "report.npz"
 
@@ -67,17 +65,18 @@ class RunResult:
         return not any(w.serious for w in self.warnings) and all(e.measurement is not None for e in self.measurements)
 
 
-def results_folder(session: Path, out: Path | None) -> Path:
-    """Where results go: ``<session>-results`` beside the session, unless told otherwise.
+def results_folder(session: str | os.PathLike[str], out: Path | None) -> Path:
+    """Where results go: ``<session>-results`` beside the session, in this folder for one at an address, unless told otherwise.
 
     Raises
     ------
     SessionError
         If that lies inside the session: input folders are never written to.
     """
-    path = session.resolve()
-    folder = (out or path.with_name(path.name + "-results")).resolve()
-    if folder == path or path in folder.parents:
+    location = locate(session)
+    path = Path(location.address) if location.is_local else None
+    folder = (out or (path.parent if path else Path()) / f"{location.name}-results").resolve()
+    if path is not None and (folder == path or path in folder.parents):
         raise SessionError(f"{folder}: results never go into the session ({path}). Choose another place with --out.")
     return folder
 
@@ -93,6 +92,7 @@ class Run:
         observer: Observer,
         force: bool = False,
         on_ready: Callable[[], None] = lambda: None,
+        workers: Workers | None = None,
     ) -> None:
         self._session = session
         self._folder = folder
@@ -100,13 +100,25 @@ class Run:
         self._observer = observer
         check_writable(folder)
         on_ready()
-        self._store = StageStore(folder / "stages", observer, force)
+        self._store = StageStore(folder / "stages", observer, force, workers=workers)
         self._warnings: list[StageWarning] = []
         self._entries: tuple[MeasurementEntry, ...] = ()
         self._initial_entries: tuple[MeasurementEntry, ...] = ()
         self._verdict: Verdict | None = None
         for problem in session.problems:
             self._warn("session", str(problem), serious=True)
+
+    def __enter__(self) -> "Run":
+        """The run; leaving the block closes it."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """See :meth:`close`."""
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the processes or the cluster that worked on it."""
+        self._store.workers.close()
 
     def calibrate(self) -> tuple[CalibrationParts, CalibrationFile]:
         """The calibration stages; writes ``calibration.json`` and ``verdict.json``."""
@@ -130,7 +142,7 @@ class Run:
             turn_sense=system.turn_sense if system else 1,
             table_seen=system.table_seen if system else False,
             quality=quality_figures(parts),
-            session=self._session.path.resolve().name,
+            session=self._session.name,
             laser_curvature=joint.laser_curvature if joint else None,
             angle_error=joint.angle_error if joint else AngleError(),
             table_motion=joint.table_motion if joint else None,
@@ -142,14 +154,13 @@ class Run:
         self._keep_verdict(judge_parts(parts))
         return parts, content
 
-    def scan(self, calibration: CalibrationFile, captures: Sequence[str] = ()) -> dict[str, PointCloud]:
+    def scan(self, calibration: CalibrationFile, captures: Sequence[str] = ()) -> Clouds:
         """The clouds of the captures (default: all scans and artefacts); writes ``clouds/<capture>.ply``."""
         self._check_size(calibration)
         system = calibration.system()
         chosen = self._scanned() if not captures else self._named(captures)
-        if not chosen:
-            return {}
-        if system is None:
+        scanned: dict[str, ScannedCapture] = {}
+        if chosen and system is None:
             missing = ", ".join(
                 name
                 for name, value in (
@@ -166,27 +177,25 @@ class Run:
                 "or give a calibration of this rig with --calibration FILE.",
                 serious=True,
             )
-            return {}
-        clouds = {}
-        for capture in chosen:
-            clouds[capture.folder] = self._cloud(capture, system)
-            write_cloud(self._folder / "clouds" / f"{capture.folder}.ply", clouds[capture.folder])
-        return clouds
+        elif system is not None:
+            scanned = {c.folder: self._scan(c, system) for c in chosen}
+
+        def load(folder: str) -> PointCloud:
+            assert system is not None
+            return ranges[folder].cloud(system)
+
+        ranges = {c.folder: self._ranges(c) for c in chosen if c.folder in scanned}
+        return Clouds(scanned, load, KEPT_CLOUDS * self._options.scan.max_points_in_memory)
 
     def measure(
-        self, clouds: dict[str, PointCloud], calibration: CalibrationFile, requests: Sequence[MeasurementRequest] = ()
+        self, clouds: Clouds, calibration: CalibrationFile, requests: Sequence[MeasurementRequest] = ()
     ) -> tuple[tuple[MeasurementEntry, ...], tuple[MeasurementEntry, ...]]:
         """The features asked for, with the final and with the initial axis; writes both lists."""
         system, initial = calibration.system(), calibration.system(initial_axis=True)
         wanted = tuple(requests) or measurement_requests(self._session)
-        final_entries = self._measure_all(wanted, clouds, system, "measure", "Measurement")
-        initial_entries: tuple[MeasurementEntry, ...] = ()
-        if system is not None and initial is not None and _differ(system, initial):
-            moved = {name: move_to_axis(cloud, system, initial) for name, cloud in clouds.items()}
-            title = "Measurement with the initial axis"
-            initial_entries = self._measure_all(wanted, moved, initial, "measure-initial-axis", title)
-        elif initial is not None:
-            initial_entries = final_entries
+        final_entries, initial_entries = measure_captures(
+            wanted, clouds, system, initial, self._options, self._store, self._observer
+        )
         for entry in final_entries:
             if entry.measurement is None:
                 self._warn("measure", f"{entry.capture}, {entry.feature}: {entry.failure}", serious=True)
@@ -202,20 +211,14 @@ class Run:
             self._keep_verdict(judge_measured(self._verdict, final_entries, wanted))
         return final_entries, initial_entries
 
-    def surfaces(self, clouds: dict[str, PointCloud], calibration: CalibrationFile) -> tuple[SurfaceSummary, ...]:
+    def surfaces(self, clouds: Clouds, calibration: CalibrationFile) -> tuple[SurfaceSummary, ...]:
         """A surface of every scan of a part; writes ``meshes/<capture>.ply`` and ``.stl``."""
         if not self._options.scan.surface:
             return ()
         scans = [c.folder for c in self._session.in_role("scan") if c.folder in clouds]
         result = []
         for folder in scans:
-            cloud = clouds[folder]
-            if calibration.table_seen and not self._options.scan.keep_table:
-                cloud = cloud.select(cloud.points_table[:, 2] > self._options.scan.table_margin_mm)
-            key = key_of(_cloud_key(clouds[folder]), self._options.surface, self._options.scan, calibration.table_seen)
-            summary = self._store.get(
-                f"surface-{folder}", f"Surface of {folder}", key, partial(self._surface, folder, cloud)
-            )
+            summary = stored_surface(folder, clouds, calibration.table_seen, self._options, self._store)
             if summary.failure:
                 self._warn("surface", f"{folder}: {summary.failure}", serious=True)
             else:
@@ -243,31 +246,32 @@ class Run:
         self,
         parts: CalibrationParts | None,
         calibration: CalibrationFile,
-        clouds: dict[str, PointCloud],
+        clouds: Clouds,
         entries: tuple[MeasurementEntry, ...],
         initial_entries: tuple[MeasurementEntry, ...],
         surfaces: tuple[SurfaceSummary, ...],
     ) -> None:
         """Write ``report.html``, and what it was made from."""
         self._observer.stage("Report", stored=False)
-        summaries = tuple(self._cloud_summary(name, cloud) for name, cloud in clouds.items())
-        contents = report_contents(
-            self._session,
-            self._options,
-            tuple(self._warnings),
-            self._store.seconds,
-            parts,
-            calibration.system(),
-            summaries,
-            surfaces,
-            entries,
-            initial_entries,
-            fitted_points(entries, clouds),
-            frame_overlays(self._session, self._store, self._options, self._observer),
-            self._verdict if self._options.calibration.method == "joint" else None,
-        )
-        write_record(self._folder / "stages" / REPORT_RECORD, contents, compressed=True)
-        write_report(contents, self._folder / "report.html")
+        with self._store.timed("Report"):
+            summaries = tuple(_cloud_summary(scanned, clouds) for scanned in clouds.scanned.values())
+            contents = report_contents(
+                self._session,
+                self._options,
+                tuple(self._warnings),
+                self._store.seconds,
+                parts,
+                calibration.system(),
+                summaries,
+                surfaces,
+                entries,
+                initial_entries,
+                fitted_points(entries, clouds),
+                frame_overlays(self._session, self._store, self._options, self._observer),
+                self._verdict if self._options.calibration.method == "joint" else None,
+            )
+            write_record(self._folder / "stages" / REPORT_RECORD, contents, compressed=True)
+            write_report(contents, self._folder / "report.html")
 
     @property
     def folder(self) -> Path:
@@ -317,25 +321,34 @@ class Run:
                 f"{size[0]} x {size[1]}. Calibrate with images of the same camera and resolution."
             )
 
-    def _cloud(self, capture: Capture, system: SystemCalibration) -> PointCloud:
-        stripes, _ = stored_stripes(capture, self._options, self._store, self._observer)
-        cloud = make_cloud(stripes, system, self._options.scan)
-        empty = len(stripes.frame_names) - len(np.unique(stripes.frame))
-        if len(cloud) == 0:
+    def _ranges(self, capture: Capture) -> CaptureRanges:
+        return ranges_of(capture, self._options, self._store, self._observer)
+
+    def _scan(self, capture: Capture, system: SystemCalibration) -> ScannedCapture:
+        path = self._folder / "clouds" / f"{capture.folder}.ply"
+        scanned = scan_capture(capture.folder, self._ranges(capture), system, path)
+        n_empty = len(scanned.frames_without_stripe)
+        if scanned.n_points == 0:
             self._warn(
                 "scan",
-                f"{capture.folder}: no stripe in any of its {empty} frames: no points. Check that the laser is on, "
+                f"{capture.folder}: no stripe in any of its {n_empty} frames: no points. Check that the laser is on, "
                 "bright enough and in view.",
                 serious=True,
             )
-        elif empty:
-            names = [n for i, n in enumerate(stripes.frame_names) if not np.any(stripes.frame == i)]
+        elif n_empty:
             self._warn(
                 "scan",
-                f"{capture.folder}: no stripe in {empty} of {len(stripes.frame_names)} frames, the first is {names[0]}. "
+                f"{capture.folder}: no stripe in {n_empty} of {scanned.n_frames} frames, the first is {scanned.frames_without_stripe[0]}. "
                 "They add no points. If the part should be seen there, check laser and exposure, and take them again.",
             )
-        return cloud
+        if scanned.thinning > 1:
+            self._warn(
+                "scan",
+                f"{capture.folder}: its {scanned.n_points} points are more than the {self._options.scan.max_points_in_memory} of "
+                f"scan.max_points_in_memory: features, surface and pictures are made from one in {scanned.thinning} along the "
+                "stripes; the cloud file holds all.",
+            )
+        return scanned
 
     def _placed(self, system: SystemCalibration) -> SystemCalibration:
         """The system with z = 0 on the table, as the artefacts' captures show it, else the scans."""
@@ -343,49 +356,15 @@ class Run:
         exact = replace(system, covariance=None)
         for artifacts in (True, False):
             captures = [c for c in self._scanned() if (c.role == "artifact") == artifacts]
-            stripes = [stored_stripes(c, self._options, self._store, self._observer)[0] for c in captures]
-            system = place_on_table(system, [make_cloud(s, exact, self._options.scan) for s in stripes])
+            system = place_on_table(system, (self._ranges(c).cloud(exact) for c in captures))
             if system.table_seen:
                 break
         return system
 
-    def _measure_all(
-        self,
-        requests: Sequence[MeasurementRequest],
-        clouds: dict[str, PointCloud],
-        system: SystemCalibration | None,
-        name: str,
-        title: str,
-    ) -> tuple[MeasurementEntry, ...]:
-        def compute() -> tuple[MeasurementEntry, ...]:
-            with self._observer.work("features", len(requests)) as count:
-                entries = []
-                for request in requests:
-                    cloud = clouds.get(request.capture)
-                    entries.append(measure_request(request, cloud, self._options.measure, system))
-                    count()
-                return tuple(entries)
 
-        if not requests:
-            return ()
-        keys = {folder: _cloud_key(cloud) for folder, cloud in clouds.items()}
-        covariance = system.covariance.matrix.tolist() if system is not None and system.covariance is not None else None
-        spread = (system.line_sigma_mm, system.stripe_blur_px) if system is not None else None
-        asked = [r.model_dump(mode="json") for r in requests]
-        key = key_of(asked, keys, covariance, spread, self._options.measure)
-        return self._store.get(name, title, key, compute)
-
-    def _surface(self, folder: str, cloud: PointCloud) -> SurfaceSummary:
-        try:
-            surface = reconstruct_surface(cloud, self._options.surface)
-        except GeometryError as error:
-            return SurfaceSummary(folder, np.empty((0, 3)), np.empty((0, 3), dtype=int), str(error))
-        return SurfaceSummary(folder, surface.vertices_table, surface.triangles)
-
-    def _cloud_summary(self, folder: str, cloud: PointCloud) -> CloudSummary:
-        capture = next(c for c in self._scanned() if c.folder == folder)
-        n_frames = len(capture.on_frames)
-        return CloudSummary(folder, thinned(cloud), len(cloud), n_frames, n_frames - len(np.unique(cloud.frame)))
+def _cloud_summary(scanned: ScannedCapture, clouds: Clouds) -> CloudSummary:
+    drawn = thinned(clouds[scanned.folder])
+    return CloudSummary(scanned.folder, drawn, scanned.n_points, scanned.n_frames, scanned.n_frames_without_points)
 
 
 def rewrite_report(folder: Path) -> Path:
@@ -408,13 +387,3 @@ def rewrite_report(folder: Path) -> Path:
         raise SessionError(f"{record}: this is not what a report is made from. Start `rotaline run` again.")
     write_report(contents, folder / "report.html")
     return folder / "report.html"
-
-
-def _cloud_key(cloud: PointCloud) -> str:
-    """A key of the points themselves: they depend on the calibration, which may come from elsewhere."""
-    return hashlib.sha256(np.ascontiguousarray(cloud.points_table).tobytes()).hexdigest()[:16]
-
-
-def _differ(a: SystemCalibration, b: SystemCalibration) -> bool:
-    first, second = a.rotation_axis_camera, b.rotation_axis_camera
-    return not (np.allclose(first.point, second.point) and np.allclose(first.direction, second.direction))

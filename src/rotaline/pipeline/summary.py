@@ -2,7 +2,7 @@
 
 import dataclasses
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from importlib.metadata import version
 
@@ -27,8 +27,8 @@ from rotaline.io.report.contents import (
 from rotaline.io.results import MeasurementEntry
 from rotaline.io.session import Capture, Frame, Session
 from rotaline.pipeline.calibrate import CalibrationParts
-from rotaline.pipeline.observe import stored_stripes
-from rotaline.pipeline.observer import Observer, Silent
+from rotaline.pipeline.capture_ranges import ranges_of
+from rotaline.pipeline.observer import Observer
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.store import StageStore
 from rotaline.scanning.cloud import PointCloud
@@ -46,7 +46,7 @@ def thinned(cloud: PointCloud) -> PointCloud:
     return cloud if step <= 1 else cloud.select(np.arange(len(cloud)) % step == 0)
 
 
-def fitted_points(entries: Sequence[MeasurementEntry], clouds: dict[str, PointCloud]) -> tuple[FittedPoints, ...]:
+def fitted_points(entries: Sequence[MeasurementEntry], clouds: Mapping[str, PointCloud]) -> tuple[FittedPoints, ...]:
     """The points of each measured feature with their residuals, thinned."""
     result = []
     for entry in entries:
@@ -78,7 +78,7 @@ def frame_overlays(
         if capture.role in ("camera", "axis"):
             overlays += _target_overlays(capture, store)
         else:
-            overlays += _stripe_overlays(capture, options, store)
+            overlays += _stripe_overlays(capture, options, store, observer)
     return tuple(overlays)
 
 
@@ -94,16 +94,15 @@ def _target_overlays(capture: Capture, store: StageStore) -> list[FrameOverlay]:
     return [_overlay(capture.role, paths[d.name], what, d.detection.uv) for d in chosen if d.name in paths]
 
 
-def _stripe_overlays(capture: Capture, options: Options, store: StageStore) -> list[FrameOverlay]:
-    stripes, _ = stored_stripes(capture, options, store, Silent())
-    pieces = stripes.stripes()
-    filled = [i for i, s in enumerate(pieces) if len(s)]
+def _stripe_overlays(capture: Capture, options: Options, store: StageStore, observer: Observer) -> list[FrameOverlay]:
+    ranges = ranges_of(capture, options, store, observer)
+    filled = np.flatnonzero(ranges.points_per_frame()).tolist()
     if not filled:
         return []
     n = len(filled)
     chosen = sorted({filled[0], filled[n // 3], filled[2 * n // 3]})[: 3 if capture.role != "laser-plane" else 2]
     frames = capture.on_frames
-    return [_overlay(capture.role, frames[i], "stripe with its extracted centres", pieces[i].uv) for i in chosen]
+    return [_overlay(capture.role, frames[i], "stripe with its extracted centres", ranges.stripe(i).uv) for i in chosen]
 
 
 _STAGE_OF_ROLE = {
@@ -139,7 +138,7 @@ def report_contents(
     """Everything that the report shows."""
     return ReportContents(
         run=RunInfo(
-            session=session.path.resolve().name,
+            session=session.name,
             finished_at=datetime.now().astimezone().isoformat(timespec="seconds"),
             versions=versions(),
             machine=machine(),

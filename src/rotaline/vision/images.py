@@ -1,7 +1,8 @@
 """Reading one image file: PNG, JPEG, BMP or TIFF, grey or colour, 8 or 16 bit."""
 
 import warnings
-from pathlib import Path
+from io import BufferedReader, BytesIO
+from pathlib import Path, PurePath
 
 import cv2
 import numpy as np
@@ -22,33 +23,36 @@ def one_thread_per_image() -> None:
     cv2.setNumThreads(1)
 
 
-def image_size(path: Path) -> tuple[int, int]:
+def image_size(stream: BufferedReader, label: str) -> tuple[int, int]:
     """Width and height of an image file from its header; also notices a file that is cut off.
+
+    Parameters
+    ----------
+    stream : the file, from its beginning
+    label : its name for messages, with the suffix
 
     Raises
     ------
     SessionError
-        If the file is missing, cut off or no image; the message names the file and what to do.
+        If the file is cut off or no image; the message names the file and what to do.
     """
-    if path.suffix.lower() not in EXTENSIONS:
-        raise SessionError(f"{path}: expected one of {', '.join(EXTENSIONS)}, found '{path.suffix}'.")
+    suffix = PurePath(label).suffix
+    if suffix.lower() not in EXTENSIONS:
+        raise SessionError(f"{label}: expected one of {', '.join(EXTENSIONS)}, found '{suffix}'.")
     try:
-        with path.open("rb") as stream:
-            head = stream.read(8)
-            length = stream.seek(0, 2)
-            stream.seek(max(0, length - 1024))
-            _check_end(path, head, stream.read(), length)
-            stream.seek(0)
-            with warnings.catch_warnings(action="ignore"), Pillow.open(stream) as image:
-                _check_strips(path, image, length)
-                return image.size
-    except FileNotFoundError as error:
-        raise SessionError(f"{path}: the image is missing. Put it back or remove its row from frames.csv.") from error
+        head = stream.read(8)
+        length = stream.seek(0, 2)
+        stream.seek(max(0, length - 1024))
+        _check_end(label, head, stream.read(), length)
+        stream.seek(0)
+        with warnings.catch_warnings(action="ignore"), Pillow.open(stream) as image:
+            _check_strips(label, image, length)
+            return image.size
     except (OSError, SyntaxError, ValueError, Pillow.DecompressionBombError) as error:
-        raise SessionError(f"{path}: this is not a readable image. {_COPY_AGAIN}") from error
+        raise SessionError(f"{label}: this is not a readable image. {_COPY_AGAIN}") from error
 
 
-def _check_end(path: Path, head: bytes, tail: bytes, length: int) -> None:
+def _check_end(label: str, head: bytes, tail: bytes, length: int) -> None:
     cut = (
         length == 0
         or (head[:4] == b"\x89PNG" and b"IEND" not in tail[-64:])
@@ -56,20 +60,25 @@ def _check_end(path: Path, head: bytes, tail: bytes, length: int) -> None:
         or (head[:2] == b"BM" and int.from_bytes(head[2:6], "little") > length)
     )
     if cut:
-        raise SessionError(f"{path}: the file is cut off ({length} bytes). {_COPY_AGAIN}")
+        raise SessionError(f"{label}: the file is cut off ({length} bytes). {_COPY_AGAIN}")
 
 
-def _check_strips(path: Path, image: Pillow.Image, length: int) -> None:
+def _check_strips(label: str, image: Pillow.Image, length: int) -> None:
     """A TIFF says where its strips or tiles end."""
     tags = getattr(image, "tag_v2", {})
     for offsets, counts in ((273, 279), (324, 325)):
         ends = [offset + count for offset, count in zip(tags.get(offsets, ()), tags.get(counts, ()), strict=False)]
         if ends and max(ends) > length:
-            raise SessionError(f"{path}: the file is cut off ({length} bytes). {_COPY_AGAIN}")
+            raise SessionError(f"{label}: the file is cut off ({length} bytes). {_COPY_AGAIN}")
 
 
-def read_image(path: Path) -> Image:
-    """Read an image as it was stored; an alpha channel is dropped.
+def decode_image(data: bytes, label: str) -> Image:
+    """The image that the content of a file is, as it was stored; an alpha channel is dropped.
+
+    Parameters
+    ----------
+    data : the file
+    label : its name for messages, with the suffix
 
     Returns
     -------
@@ -78,19 +87,48 @@ def read_image(path: Path) -> Image:
     Raises
     ------
     SessionError
-        If the file is missing, cut off, or no image; the message names the file and what to do.
+        If it is cut off, damaged, or no image; the message names the file and what to do.
     """
-    width, height = image_size(path)
-    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    width, height = image_size(BufferedReader(BytesIO(data)), label)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None or image.shape[:2] != (height, width):
-        raise SessionError(f"{path}: the image is damaged. {_COPY_AGAIN}")
+        raise SessionError(f"{label}: the image is damaged. {_COPY_AGAIN}")
     if image.dtype not in (np.uint8, np.uint16):
-        raise SessionError(f"{path}: expected 8 or 16 bit values, found {image.dtype}. Save it with 8 or 16 bit.")
+        raise SessionError(f"{label}: expected 8 or 16 bit values, found {image.dtype}. Save it with 8 or 16 bit.")
     if image.ndim == 2:
         return image
     if image.shape[2] == 1:
         return np.ascontiguousarray(image[:, :, 0])
     return np.ascontiguousarray(image[:, :, 2::-1])
+
+
+def encode_png(image: Image) -> bytes:
+    """The PNG file of an image: the same pixels come out of it."""
+    done, data = cv2.imencode(".png", image if image.ndim == 2 else image[:, :, ::-1])
+    assert done
+    return data.tobytes()
+
+
+def read_image(path: Path) -> Image:
+    """Read an image file, as :func:`decode_image` does.
+
+    Raises
+    ------
+    SessionError
+        If the file is missing, cut off, or no image; the message names the file and what to do.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise missing_image(str(path)) from error
+    except OSError as error:
+        raise SessionError(f"{path}: the image cannot be read ({error.strerror}).") from error
+    return decode_image(data, str(path))
+
+
+def missing_image(label: str) -> SessionError:
+    """What is said of an image that is not there."""
+    return SessionError(f"{label}: the image is missing. Put it back or remove its row from frames.csv.")
 
 
 def to_grey(image: Image) -> UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]:

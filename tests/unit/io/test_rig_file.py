@@ -322,8 +322,7 @@ feature = "sphere"
 check = true
 """
     file = parse_rig(text, "rig.toml")
-    (tmp_path / "session.toml").write_text(session_toml(file.plan(), file.rig()))
-    content, problems = parse_session_file(tmp_path / "session.toml")
+    content, problems = parse_session_file(session_toml(file.plan(), file.rig()).encode(), "session.toml")
     assert problems == []
     assert content.targets == {"a": artifact}  # the ball is scanned only
     assert [(c.role, c.target) for c in content.captures] == [("scan", "ball"), ("artifact", "a")]

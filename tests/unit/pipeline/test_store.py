@@ -1,10 +1,11 @@
 import os
 
+import numpy as np
 import pytest
 
 from rotaline.io.frame_images import ImageFile
 from rotaline.pipeline.observer import Silent
-from rotaline.pipeline.store import StageStore, key_of, sources_key
+from rotaline.pipeline.store import StageResult, StageStore, key_of, sources_key
 from rotaline.vision.targets.model import Checkerboard
 
 
@@ -77,3 +78,32 @@ def test_the_key_follows_files_and_values(tmp_path):
     assert sources_key([ImageFile(str(file))]) != first
     assert key_of(Checkerboard((3, 2), 4.0)) != key_of(Checkerboard((3, 2), 4.1))
     assert key_of(Checkerboard((3, 2), 4.0)) == key_of(Checkerboard((3, 2), 4.0))
+
+
+def test_a_stage_of_pieces_goes_on_and_replaces_an_older_one_when_it_is_complete(tmp_path):
+    old = _store(tmp_path).pieces("stripes-a", "k1")
+    old.write(0, StageResult(1.0, "old"))
+    store = _store(tmp_path)
+    pieces = store.pieces("stripes-a", "k2")
+    pieces.write(0, StageResult(1.0, "new"))
+    assert [pieces.has(n) for n in (0, 32)] == [True, False]
+    assert old.has(0), "the new one is not complete"
+    pieces.write(32, StageResult(2.0, "more"))
+    store.pieces_complete("stripes-a", "k2")
+    assert not old.has(0)
+    again = _store(tmp_path).pieces("stripes-a", "k2")
+    assert (again.read(0).value, again.read(32).value) == ("new", "more")
+    assert not _store(tmp_path, force=True).pieces("stripes-a", "k2").has(0)
+
+
+def test_a_capture_whose_name_has_a_dot_keeps_its_results(tmp_path):
+    store = _store(tmp_path)
+    store.get("detect-part.1", "A", "k", lambda: 1)
+    store.get("detect-part.2", "B", "k", lambda: 2)
+    assert sorted(p.name for p in (tmp_path / "stages").iterdir()) == ["detect-part.1.k.npz", "detect-part.2.k.npz"]
+
+
+def test_a_key_follows_every_digit_of_an_array():
+    values = np.array([1.0, 2.0])
+    assert key_of(values) == key_of(values.copy())
+    assert key_of(values) != key_of(values + 1e-15)

@@ -4,7 +4,7 @@ import pytest
 
 from rotaline.errors import SessionError
 from rotaline.vision.background import shows_same_scene
-from rotaline.vision.images import image_size, read_image, small_picture, to_grey
+from rotaline.vision.images import encode_png, image_size, read_image, small_picture, to_grey
 
 RNG = np.random.default_rng(3)
 
@@ -22,7 +22,8 @@ def test_lossless_formats_give_the_pixels_back(tmp_path, suffix, depth, colour):
     assert read.dtype == image.dtype
     assert (to_grey(read) == to_grey(image)).all()
     assert (read == image).all() or read.ndim != image.ndim
-    assert image_size(path) == (60, 40)
+    with path.open("rb") as stream:
+        assert image_size(stream, path.name) == (60, 40)
 
 
 def test_jpeg_colours_come_as_red_green_blue(tmp_path):
@@ -51,12 +52,25 @@ def test_a_file_that_is_cut_off_is_refused_with_its_name(tmp_path, suffix, part)
 
 def test_a_missing_file_and_a_text_file_are_refused(tmp_path):
     with pytest.raises(SessionError, match="missing"):
-        image_size(tmp_path / "none.png")
+        read_image(tmp_path / "none.png")
     (tmp_path / "text.png").write_text("not an image, but long enough to be one" * 10)
     with pytest.raises(SessionError, match="not a readable image"):
         read_image(tmp_path / "text.png")
+    (tmp_path / "film.gif").write_bytes(b"GIF89a")
     with pytest.raises(SessionError, match="expected one of"):
         read_image(tmp_path / "film.gif")
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(SessionError, match=r"folder.png: .*cannot be read"):
+        read_image(tmp_path / "folder.png")
+
+
+@pytest.mark.parametrize(("depth", "colour"), [("uint8", False), ("uint8", True), ("uint16", False), ("uint16", True)])
+def test_a_png_gives_the_pixels_back(tmp_path, depth, colour):
+    image = RNG.integers(0, np.iinfo(depth).max, (40, 60, 3) if colour else (40, 60)).astype(depth)
+    (tmp_path / "image.png").write_bytes(encode_png(image))
+    read = read_image(tmp_path / "image.png")
+    assert read.dtype == image.dtype
+    np.testing.assert_array_equal(read, image)
 
 
 def test_a_background_in_the_same_light_is_recognised_and_one_in_other_light_is_not():
