@@ -5,6 +5,8 @@ however bright they are. Where the core of the stripe saturates all channels it 
 filled in from its surroundings. Where a background is subtracted, grey is as good as colour, and does not mind saturation.
 The centre is measured in the channel that shows the stripe best: highest above its background, and not clipped. For a red
 laser on white paper that is green, on a dark surface red.
+
+This is the plain way, which works on whole planes; :mod:`rotaline.vision.stripe.channels` is the fast one.
 """
 
 from collections.abc import Iterator
@@ -19,12 +21,13 @@ from rotaline.vision.stripe.profiles import sample_profiles
 from rotaline.vision.stripe.ridges import Ridge, find_ridges
 
 CHANNELS = ("red", "green", "blue")
-_CORE_PX = 25  # a saturated core up to this wide is filled
-_MATCH_PIXELS, _LEAST_PIXELS, _MATCH_PASSES = 40_000, 100, 6
-_LEAST_SPREAD, _MOST_GAIN = 8.0, 1.4  # standard deviation in grey values of an 8 bit image; ratio
-_WHITE = 0.85  # of the range: what is brighter in all channels has lost its colour
-_LIT = 20.0  # grey values of an 8 bit image
-_CLEAR = 6.0  # grey values of an 8 bit image: prominence of a ridge in colour that things in a room hardly reach
+CORE_PX = 25  # a saturated core up to this wide is filled
+_MATCH_PIXELS, LEAST_PIXELS, MATCH_PASSES = 40_000, 100, 6
+MATCH_BELOW = 0.97  # of the range
+LEAST_SPREAD, MOST_GAIN = 8.0, 1.4  # standard deviation in grey values of an 8 bit image; ratio
+WHITE = 0.85  # of the range: what is brighter in all channels has lost its colour
+LIT = 20.0  # grey values of an 8 bit image
+CLEAR = 6.0  # grey values of an 8 bit image: prominence of a ridge in colour that things in a room hardly reach
 _CROWD = 20  # ridges; a stripe alone makes fewer
 _CROWD_PART, _CROWD_SHARE, _FAINT_PART = 0.25, 0.04, 0.035
 
@@ -59,11 +62,7 @@ def split_frame(image: Image, background: Image | None) -> Frame:
     ValueError
         If the two differ in shape or type.
     """
-    if background is not None and (background.shape != image.shape or background.dtype != image.dtype):
-        raise ValueError(
-            f"the background is {background.shape} {background.dtype}, the image {image.shape} {image.dtype}; "
-            "both must come from one camera with one setting"
-        )
+    check_background(image, background)
     top = int(np.iinfo(image.dtype).max)
     unit = top / 255.0
     limit = top - 2 if top == 255 else int(0.98 * top)
@@ -81,11 +80,31 @@ def split_frame(image: Image, background: Image | None) -> Frame:
             gain, offset = match_exposure(source, ground)
             plane -= np.float32(gain) * ground + np.float32(offset)
         planes.append(plane)
-    white = np.logical_and.reduce([source >= _WHITE * top for source in sources]) if len(sources) == 3 else None
+    white = np.logical_and.reduce([source >= WHITE * top for source in sources]) if len(sources) == 3 else None
     if white is not None and not white.any():
         white = None
-    lit = background is not None and bool(np.median(background[::7, ::7]) >= _LIT * unit)
+    lit = background is not None and is_lit(background)
     return Frame(tuple(planes), tuple(clipped), white, background is not None, lit, unit)
+
+
+def check_background(image: Image, background: Image | None) -> None:
+    """Raise ValueError if the two differ in shape or type."""
+    if background is not None and (background.shape != image.shape or background.dtype != image.dtype):
+        raise ValueError(
+            f"the background is {background.shape} {background.dtype}, the image {image.shape} {image.dtype}; "
+            "both must come from one camera with one setting"
+        )
+
+
+def is_lit(background: Image) -> bool:
+    """At least half of a background is as bright as a scene in the light of lamps."""
+    some = background[::7, ::7]
+    return bool(2 * np.count_nonzero(some >= LIT * np.iinfo(background.dtype).max / 255.0) >= some.size)
+
+
+def match_step(n_pixels: int) -> int:
+    """Of so many rows and columns one is looked at to match the exposure."""
+    return max(1, int(np.sqrt(n_pixels / _MATCH_PIXELS)))
 
 
 def match_exposure(
@@ -100,25 +119,25 @@ def match_exposure(
     """
     top = int(np.iinfo(image.dtype).max)
     unit = top / 255.0
-    step = max(1, int(np.sqrt(image.size / _MATCH_PIXELS)))
+    step = match_step(image.size)
     x, y = (np.asarray(part[::step, ::step], dtype=float).ravel() for part in (background, image))
-    usable = (np.maximum(x, y) < 0.97 * top) & (x > 0)
-    if usable.sum() < _LEAST_PIXELS:
+    usable = (np.maximum(x, y) < MATCH_BELOW * top) & (x > 0)
+    if usable.sum() < LEAST_PIXELS:
         return 1.0, 0.0
     x, y = x[usable], y[usable]
     gain, offset = 1.0, float(np.median(y - x))
-    for _ in range(_MATCH_PASSES):
+    for _ in range(MATCH_PASSES):
         rest = np.abs(y - gain * x - offset)
         near = rest <= 3.0 * max(1.4826 * float(np.median(rest)), unit)
-        if near.sum() < _LEAST_PIXELS or np.std(x[near]) < _LEAST_SPREAD * unit:
+        if near.sum() < LEAST_PIXELS or np.std(x[near]) < LEAST_SPREAD * unit:
             bright = float(np.median(x))
-            gain, offset = float(np.median(y)) / bright if bright >= _LIT * unit else 1.0, 0.0
+            gain, offset = float(np.median(y)) / bright if bright >= LIT * unit else 1.0, 0.0
             break
         mean_x, mean_y = float(x[near].mean()), float(y[near].mean())
         dx = x[near] - mean_x
         gain = float(dx @ y[near] / (dx @ dx))
         offset = mean_y - gain * mean_x
-    return (gain, offset) if 1.0 / _MOST_GAIN < gain < _MOST_GAIN else (1.0, 0.0)
+    return (gain, offset) if 1.0 / MOST_GAIN < gain < MOST_GAIN else (1.0, 0.0)
 
 
 def score_images(frame: Frame, colour: str) -> Iterator[tuple[str, Float32[np.ndarray, "h w"]]]:
@@ -127,12 +146,17 @@ def score_images(frame: Frame, colour: str) -> Iterator[tuple[str, Float32[np.nd
         yield "grey", frame.planes[0]
         return
     total = frame.planes[0] + frame.planes[1] + frame.planes[2]
-    wanted = CHANNELS if colour == "auto" else (colour,) if colour in CHANNELS else ()
-    for name in wanted:
-        plane = frame.planes[CHANNELS.index(name)]
-        yield name, _fill_core(frame, cv2.addWeighted(plane, 1.5, total, -0.5, 0.0))
-    if colour == "auto" or not wanted:
-        yield "grey", total / np.float32(3.0)
+    for name in score_names(colour):
+        if name == "grey":
+            yield name, total / np.float32(3.0)
+        else:
+            plane = frame.planes[CHANNELS.index(name)]
+            yield name, _fill_core(frame, cv2.addWeighted(plane, 1.5, total, -0.5, 0.0))
+
+
+def score_names(colour: str) -> tuple[str, ...]:
+    """The images in which a stripe of the colour is looked for in a colour frame."""
+    return (*CHANNELS, "grey") if colour == "auto" else (colour,) if colour in CHANNELS else ("grey",)
 
 
 def _fill_core(frame: Frame, score: np.ndarray) -> np.ndarray:
@@ -141,7 +165,7 @@ def _fill_core(frame: Frame, score: np.ndarray) -> np.ndarray:
         return score
     near_white = cv2.dilate(frame.white.astype(np.uint8), np.ones((9, 9), np.uint8))
     small = cv2.resize(score, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    kernel = np.ones((_CORE_PX // 2 | 1, _CORE_PX // 2 | 1), np.uint8)
+    kernel = np.ones((CORE_PX // 2 | 1, CORE_PX // 2 | 1), np.uint8)
     closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, kernel)
     closed = cv2.resize(closed, score.shape[::-1], interpolation=cv2.INTER_LINEAR)
     return np.where(near_white > 0, np.maximum(score, closed), score)
@@ -173,7 +197,7 @@ def find_stripe(
         if strongest is not None and strongest.strength > best_strength:
             best, best_strength = ridges, strongest.strength
             clear |= len(strongest.uv) * strongest.scale_px >= 3.0 * min_length_px and bool(
-                np.median(strongest.prominence) >= _CLEAR * frame.unit
+                np.median(strongest.prominence) >= CLEAR * frame.unit
             )
     if not best:
         return best, False

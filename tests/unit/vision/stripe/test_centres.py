@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotaline.vision.stripe.centres import fit_gaussian, weighted_centroid
+from rotaline.vision.stripe.plain.centres import fit_gaussian, weighted_centroid
 from rotaline.vision.stripe.profiles import Profiles
 
 X = np.arange(-12.0, 13.0)

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from rotaline.vision.stripe.curve import Chains, break_chains, join_chains, local_lines, resample
+from rotaline.vision.stripe.curve import Chains
+from rotaline.vision.stripe.plain.curve import break_chains, join_chains, local_lines, resample
 
 
 def chains_of(*pieces):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from rotaline.vision.stripe.curve import Chains
-from rotaline.vision.stripe.ends import average_along, sound_ends
+from rotaline.vision.stripe.ends import average_along
+from rotaline.vision.stripe.plain.ends import sound_ends
 
 RNG = np.random.default_rng(5)
 UV = np.column_stack([np.arange(60.0), 0.01 * RNG.normal(size=60)])

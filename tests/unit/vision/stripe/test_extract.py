@@ -72,10 +72,11 @@ def test_turns_with_the_image(method, turn):
 
 
 def shifted_pair(du, dv):
-    """A stripe that fades out before the border of a patch, and the patch moved by (du, dv)."""
+    """A stripe that fades out before the border of a patch, without a kink in its centre, and the patch moved by (du, dv)."""
     frame = np.full((140, 160), 10, dtype=np.uint8)
     stripe = image_of(replace(SCENE, image_size=(80, 60), noise=0.0, background=10.0))
-    fade = np.minimum(1.0, np.arange(80) / 10.0) * np.minimum(1.0, np.arange(80)[::-1] / 10.0)
+    rise = np.sin(0.5 * np.pi * np.minimum(1.0, np.arange(80) / 15.0)) ** 2
+    fade = rise * rise[::-1]
     patch = np.rint(10 + (stripe - 10.0) * fade).astype(np.uint8)
     still, moved = frame.copy(), frame.copy()
     still[40:100, 40:120] = patch

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotaline.vision.stripe.profiles import pixel_strips, sample_profiles
+from rotaline.vision.stripe.plain.strips import pixel_strips
+from rotaline.vision.stripe.profiles import sample_profiles
 
 ANGLES = st.floats(0.0, 2 * np.pi)
 

@@ -6,8 +6,8 @@ from jaxtyping import Bool, Float, Float32
 from rotaline.vision.stripe.background import side_background
 from rotaline.vision.stripe.centres import Centres
 from rotaline.vision.stripe.curve import Chains
+from rotaline.vision.stripe.plain.trace import Trace
 from rotaline.vision.stripe.profiles import Profiles, sample_profiles
-from rotaline.vision.stripe.trace import Trace
 
 _REACH = 3.0  # widths on either side
 _UNDECIDED = 0.15  # difference of the normal's components

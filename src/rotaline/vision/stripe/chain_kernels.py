@@ -1,0 +1,355 @@
+"""Chains of points in compiled loops: directions, equal spacing, windows along a chain, breaks. See :mod:`rotaline.vision.stripe.curve`.
+
+The chains stand one after the other; chain k is the points ``starts[k]`` to ``starts[k + 1]``.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+
+from rotaline.geometry.compiled import compiled
+
+_STEP = 1e-6  # px; points closer together are one
+_BLOCK = 8  # points that share a median
+
+
+@compiled
+@no_type_check
+def kth_smallest(values: np.ndarray, n: int, k: int) -> float:
+    """The value that would stand at place ``k`` if the first ``n`` were in order; they are partitioned about it."""
+    low, high = 0, n - 1
+    while high > low:
+        middle = (low + high) >> 1
+        if values[middle] < values[low]:
+            values[middle], values[low] = values[low], values[middle]
+        if values[high] < values[low]:
+            values[high], values[low] = values[low], values[high]
+        if values[high] < values[middle]:
+            values[high], values[middle] = values[middle], values[high]
+        if high - low < 3:
+            break
+        pivot = values[middle]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if k <= j:
+            high = j
+        elif k >= i:
+            low = i
+        else:
+            break
+    return values[k]
+
+
+@compiled
+@no_type_check
+def median_of(values: np.ndarray, n: int) -> float:
+    """Median of the first ``n`` values, which change places; NaN of none."""
+    if n == 0:
+        return np.nan
+    upper = kth_smallest(values, n, n // 2)
+    if n % 2:
+        return upper
+    lower = values[0]
+    for i in range(1, n // 2):
+        if values[i] > lower:
+            lower = values[i]
+    return 0.5 * (lower + upper)
+
+
+@compiled
+@no_type_check
+def starts_of(chain: np.ndarray) -> np.ndarray:
+    """Where each chain starts, and where the last one stops."""
+    n = len(chain)
+    k = 0
+    for i in range(n):
+        k += i == 0 or chain[i] != chain[i - 1]
+    starts = np.empty(k + 1, np.int64)
+    k = 0
+    for i in range(n):
+        if i == 0 or chain[i] != chain[i - 1]:
+            starts[k] = i
+            k += 1
+    starts[k] = n
+    return starts
+
+
+@compiled
+@no_type_check
+def local_lines(
+    uv: np.ndarray, starts: np.ndarray, half_window: int, noise_px: float, smooth: np.ndarray, tangent: np.ndarray
+) -> None:
+    """As :func:`rotaline.vision.stripe.plain.curve.local_lines`; a one-sided window is tried only where it could win."""
+    longest = 0
+    for k in range(len(starts) - 1):
+        longest = max(longest, starts[k + 1] - starts[k])
+    total = np.zeros((longest + 1, 5))
+    floor = noise_px * noise_px
+    for k in range(len(starts) - 1):
+        start, stop = starts[k], starts[k + 1]
+        n = stop - start
+        if n == 0:
+            continue
+        u0, v0 = uv[start, 0], uv[start, 1]
+        s0, s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(n):
+            x, y = uv[start + i, 0] - u0, uv[start + i, 1] - v0
+            s0 += x
+            s1 += y
+            s2 += x * i
+            s3 += y * i
+            s4 += x * x + y * y
+            total[i + 1, 0], total[i + 1, 1], total[i + 1, 2], total[i + 1, 3], total[i + 1, 4] = s0, s1, s2, s3, s4
+        end = n - 1
+        first, last = max(end - half_window, 0), min(half_window, end)
+        for i in range(n):
+            before, after = max(i - half_window, 0), min(i + half_window, end)
+            best = np.inf
+            su, sv, tu, tv = uv[start + i, 0], uv[start + i, 1], 0.0, 0.0
+            for rank in range(3):
+                if rank == 0:
+                    low, high = min(before, first), max(after, last)
+                elif best <= 4.0 * floor:
+                    break
+                elif rank == 1:
+                    low, high = before, max(i, last)
+                else:
+                    low, high = min(i, first), after
+                count = high + 1.0 - low
+                mean_t = 0.5 * (low + high)
+                var_t = max(count * (count * count - 1.0) / 12.0, 1e-9)
+                mean_x = (total[high + 1, 0] - total[low, 0]) / count
+                mean_y = (total[high + 1, 1] - total[low, 1]) / count
+                slope_x = (total[high + 1, 2] - total[low, 2] - mean_t * mean_x * count) / var_t
+                slope_y = (total[high + 1, 3] - total[low, 3] - mean_t * mean_y * count) / var_t
+                rest = total[high + 1, 4] - total[low, 4] - count * (mean_x * mean_x + mean_y * mean_y)
+                rest -= var_t * (slope_x * slope_x + slope_y * slope_y)
+                misfit = max(rest, 0.0) / max(count - 2.0, 1.0) + floor
+                if rank:
+                    misfit *= 4.0
+                if misfit < best:
+                    best = misfit
+                    su, sv = u0 + mean_x + slope_x * (i - mean_t), v0 + mean_y + slope_y * (i - mean_t)
+                    tu, tv = slope_x, slope_y
+            norm = np.sqrt(tu * tu + tv * tv)
+            smooth[start + i, 0], smooth[start + i, 1] = su, sv
+            if norm > 1e-9:
+                tangent[start + i, 0], tangent[start + i, 1] = tu / norm, tv / norm
+            else:
+                tangent[start + i, 0], tangent[start + i, 1] = 1.0, 0.0
+
+
+@compiled
+@no_type_check
+def resample(uv: np.ndarray, starts: np.ndarray, values: np.ndarray) -> tuple:
+    """Points one pixel of arc length apart along each chain, from its first point on, and a value carried along."""
+    n_chains = len(starts) - 1
+    size = 0
+    for k in range(n_chains):
+        length = 0.0
+        for i in range(starts[k] + 1, starts[k + 1]):
+            length += np.hypot(uv[i, 0] - uv[i - 1, 0], uv[i, 1] - uv[i - 1, 1])
+        size += int(length) + 2
+    out, carried = np.empty((size, 2)), np.empty(size)
+    edges = np.empty(n_chains + 1, np.int64)
+    m = 0
+    for k in range(n_chains):
+        edges[k] = m
+        begin, length, at = starts[k], 0.0, 0.0
+        if starts[k + 1] == begin:
+            continue
+        for i in range(begin + 1, starts[k + 1]):
+            du, dv = uv[i, 0] - uv[i - 1, 0], uv[i, 1] - uv[i - 1, 1]
+            step = np.sqrt(du * du + dv * dv)
+            if step <= _STEP:
+                continue
+            while at <= length + step + _STEP:
+                f = min((at - length) / step, 1.0)
+                out[m, 0], out[m, 1] = uv[i - 1, 0] + f * du, uv[i - 1, 1] + f * dv
+                carried[m] = values[i - 1] + f * (values[i] - values[i - 1])
+                m += 1
+                at += 1.0
+            length += step
+        if m == edges[k]:
+            out[m, 0], out[m, 1], carried[m] = uv[begin, 0], uv[begin, 1], values[begin]
+            m += 1
+    edges[n_chains] = m
+    return out[:m], edges, carried[:m]
+
+
+@compiled
+@no_type_check
+def window_mean(values: np.ndarray, starts: np.ndarray, half_window: int, out: np.ndarray) -> None:
+    """Mean over the neighbours of each point in its chain."""
+    for k in range(len(starts) - 1):
+        start, stop = starts[k], starts[k + 1]
+        total, low, high = 0.0, start, start
+        for i in range(start, stop):
+            while high < min(i + half_window + 1, stop):
+                total += values[high]
+                high += 1
+            while low < i - half_window:
+                total -= values[low]
+                low += 1
+            out[i] = total / (high - low)
+
+
+@compiled
+@no_type_check
+def window_median(values: np.ndarray, start: int, stop: int, i: int, half_window: int, scratch: np.ndarray) -> float:
+    """Median about point ``i`` of a chain, which goes on as :meth:`rotaline.vision.stripe.curve.Chains.window_median` says."""
+    n = stop - start
+    m = 0
+    for j in range(i - half_window, i + half_window + 1):
+        at = j - start
+        if n <= half_window:  # mirrored about its ends
+            at = at % (2 * n)
+            if at >= n:
+                at = 2 * n - 1 - at
+        else:
+            at = min(max(at, 0), n - 1)
+        value = values[start + at]
+        if not np.isnan(value):
+            scratch[m] = value
+            m += 1
+    return median_of(scratch, m)
+
+
+@compiled
+@no_type_check
+def alike(width: np.ndarray, starts: np.ndarray, tolerance: float, good: np.ndarray) -> None:
+    """Take ``good`` from points whose profile is not as wide as its neighbours' are.
+
+    As :func:`rotaline.vision.stripe.plain.trace.alike`, with one median for every eight points.
+    """
+    scratch = np.empty(64)
+    for c in range(len(starts) - 1):
+        start, stop = starts[c], starts[c + 1]
+        least, most = np.inf, 0.0
+        for i in range(start, stop):
+            w = width[i]
+            if not w > 0.0:
+                least = -np.inf
+            least, most = min(least, w), max(most, w)
+        if most - least <= tolerance * least:
+            continue
+        n = stop - start
+        deviation = np.empty(n)
+        for begin in range(0, n, _BLOCK):
+            end = min(begin + _BLOCK, n)
+            usual = window_median(width, start, stop, start + (begin + end - 1) // 2, 12, scratch)
+            for j in range(begin, end):
+                deviation[j] = abs(width[start + j] - usual) / usual
+        for j in range(n):
+            if deviation[j] > tolerance:
+                if deviation[j] > tolerance + 4.0 * window_median(deviation, 0, n, j, 20, scratch):
+                    good[start + j] = False
+            elif not deviation[j] <= tolerance:
+                good[start + j] = False
+
+
+@compiled
+@no_type_check
+def break_chains(uv: np.ndarray, tangent: np.ndarray, good: np.ndarray, starts: np.ndarray, min_points: int) -> tuple:
+    """As :func:`rotaline.vision.stripe.plain.curve.break_chains`: the points that stay, and where their chains start."""
+    n = len(uv)
+    index, chain = np.empty(n, np.int64), np.empty(n, np.int64)
+    m = 0
+    for k in range(len(starts) - 1):
+        for i in range(starts[k], starts[k + 1]):
+            if good[i]:
+                index[m], chain[m] = i, k
+                m += 1
+    for _ in range(3):
+        kept, last, last_chain = 0, -1, -1
+        for j in range(m):
+            i = index[j]
+            back = False
+            if last >= 0 and chain[j] == last_chain:
+                du, dv = uv[i, 0] - uv[last, 0], uv[i, 1] - uv[last, 1]
+                forward = max(du * tangent[last, 0] + dv * tangent[last, 1], du * tangent[i, 0] + dv * tangent[i, 1])
+                back = forward < 0.3
+            last, last_chain = i, chain[j]
+            if not back:
+                index[kept], chain[kept] = i, chain[j]
+                kept += 1
+        if kept == m:
+            break
+        m = kept
+    edges = np.empty(m + 1, np.int64)
+    pieces, out, begin = 0, 0, 0
+    for j in range(m + 1):
+        jump = j == m
+        if 0 < j < m:
+            a, b = index[j - 1], index[j]
+            du, dv = uv[b, 0] - uv[a, 0], uv[b, 1] - uv[a, 1]
+            across = min(abs(du * tangent[a, 1] - dv * tangent[a, 0]), abs(du * tangent[b, 1] - dv * tangent[b, 0]))
+            jump = chain[j] != chain[j - 1] or across > 1.2 or du * du + dv * dv > 9.0
+        if jump:
+            if j - begin >= min_points:
+                edges[pieces] = out
+                pieces += 1
+                for i in range(begin, j):
+                    index[out] = index[i]
+                    out += 1
+            begin = j
+    edges[pieces] = out
+    return index[:out], edges[: pieces + 1]
+
+
+@compiled
+@no_type_check
+def join_chains(uv: np.ndarray, tangent: np.ndarray, starts: np.ndarray, reach_px: float) -> tuple:
+    """As :func:`rotaline.vision.stripe.plain.curve.join_chains`: old index of each point, and where the joined chains start."""
+    n_chains = len(starts) - 1
+    n_ends = 2 * n_chains
+    u, v, out_u, out_v = np.empty(n_ends), np.empty(n_ends), np.empty(n_ends), np.empty(n_ends)
+    for e in range(n_ends):
+        i = starts[e // 2] if e % 2 == 0 else starts[e // 2 + 1] - 1
+        sign = -1.0 if e % 2 == 0 else 1.0
+        u[e], v[e], out_u[e], out_v[e] = uv[i, 0], uv[i, 1], sign * tangent[i, 0], sign * tangent[i, 1]
+    partner = np.full(n_ends, -1)
+    pairs, gaps = [(0, 0)][:0], [0.0][:0]
+    for a in range(n_ends):
+        for b in range(a + 1, n_ends):
+            du, dv = u[b] - u[a], v[b] - v[a]
+            gap = du * du + dv * dv
+            if b // 2 == a // 2 or gap > reach_px * reach_px:
+                continue
+            ahead, behind = du * out_u[a] + dv * out_v[a], -du * out_u[b] - dv * out_v[b]
+            facing = out_u[a] * out_u[b] + out_v[a] * out_v[b]
+            side = gap - min(ahead * ahead, behind * behind)
+            if facing < -0.85 and ahead >= -1.0 and behind >= -1.0 and side <= 2.25:
+                pairs.append((a, b))
+                gaps.append(gap)
+    for j in np.argsort(np.array(gaps)):
+        a, b = pairs[j]
+        if partner[a] < 0 and partner[b] < 0:
+            partner[a], partner[b] = b, a
+    order, edges = np.empty(starts[n_chains], np.int64), np.empty(n_chains + 1, np.int64)
+    done = np.zeros(n_chains, np.bool_)
+    m, joined = 0, 0
+    for turn in range(2):  # open ends first, then rings
+        for first in range(n_ends):
+            if done[first // 2] or (turn == 0 and partner[first] >= 0):
+                continue
+            edges[joined] = m
+            joined += 1
+            entry = first
+            while entry >= 0 and not done[entry // 2]:
+                k = entry // 2
+                done[k] = True
+                for j in range(starts[k + 1] - starts[k]):
+                    order[m] = starts[k] + j if entry % 2 == 0 else starts[k + 1] - 1 - j
+                    m += 1
+                entry = partner[entry ^ 1]
+    edges[joined] = m
+    return order, edges[: joined + 1]

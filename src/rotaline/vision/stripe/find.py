@@ -1,0 +1,201 @@
+"""Where the stripe is, at the speed of the memory: what :mod:`rotaline.vision.stripe.ridges` finds, without working on every pixel.
+
+One sweep over the image takes the highest value of each tile of 16 x 16 pixels. Only tiles that stand out from the darkest columns around, by the
+least prominence of a ridge or more, are searched, and those next to them that a chain runs into. Where the noise sets that limit, some tiles
+without a ridge are let in: they cost time and change nothing.
+
+The half and the quarter size of the image are looked at where the full size leaves something unexplained: a chain that is wide, or something
+bright beside the chains. In a frame with a thin stripe in the dark that never happens.
+"""
+
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32, UInt8, UInt16
+
+from rotaline.vision.images import Image
+from rotaline.vision.stripe.channels import STEPS, channels_of, measuring_channel, plane_of, score_image
+from rotaline.vision.stripe.find_kernels import search
+from rotaline.vision.stripe.found import FoundStripe
+from rotaline.vision.stripe.options import StripeOptions
+from rotaline.vision.stripe.plane import Plane
+from rotaline.vision.stripe.settle_kernels import choose, compete
+from rotaline.vision.stripe.signal import CLEAR, score_names
+from rotaline.vision.stripe.tile_kernels import half_size
+
+Values = UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"] | Float32[np.ndarray, "h w"]
+_LEVELS = 3
+_LEAST_SIZE = 16  # px; of a smaller image no half is made
+_LEAST_SEARCHED = 7  # px
+_LAST_MARK = 250
+
+
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """Chains of the three sizes of an image, and the parts of them that no stronger one covers.
+
+    Attributes
+    ----------
+    line, place, prominence : (n,)   points, px of the size in which they were found; the line is the row of steep chains, the column of flat ones
+    start : (k + 1,)   where each chain begins
+    steep, factor : (k,)   kind of each chain, and px of the full image for one of its own
+    begin, end, chain : (m,)   points of the parts, and the chains they are of
+    """
+
+    line: Int32[np.ndarray, " n"]
+    place: Int32[np.ndarray, " n"]
+    prominence: Float32[np.ndarray, " n"]
+    start: Int32[np.ndarray, " k1"]
+    steep: Bool[np.ndarray, " k"]
+    factor: Int32[np.ndarray, " k"]
+    begin: Int32[np.ndarray, " m"]
+    end: Int32[np.ndarray, " m"]
+    chain: Int32[np.ndarray, " m"]
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The stripe that one image shows.
+
+    Attributes
+    ----------
+    stripe : FoundStripe
+    prominence : (n,)   of its points
+    steep : (k,)   kind of its chains
+    strength, usual, length_px : float   of the strongest chain: sum and median of its prominence, and its length
+    """
+
+    stripe: FoundStripe
+    prominence: Float[np.ndarray, " n"]
+    steep: Bool[np.ndarray, " k"]
+    strength: float
+    usual: float
+    length_px: float
+
+
+class _Maps(threading.local):
+    """Work space of one thread, for images of one size: a map of marks, and one of zeros.
+
+    A map is marked with a new number each time, so that it need not be wiped.
+    """
+
+    def __init__(self) -> None:
+        self.marks, self.zeros = np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=np.float32)
+        self.mark = 1
+
+    def unmarked(self, shape: tuple[int, ...]) -> tuple[np.ndarray, int, np.ndarray]:
+        """The map of marks, a number that is nowhere in it, nor is the next, and the map of zeros."""
+        if self.marks.shape != shape:
+            self.marks, self.zeros = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.float32)
+            self.mark = 1
+        elif self.mark > _LAST_MARK:
+            self.marks.fill(0)
+            self.mark = 1
+        self.mark += 2
+        return self.marks, self.mark - 2, self.zeros
+
+
+_maps = _Maps()
+
+
+def find(image: Image, background: Image | None, options: StripeOptions) -> tuple[FoundStripe, Plane]:
+    """Find the stripe of a frame.
+
+    Returns
+    -------
+    stripe : FoundStripe   without points, where there is none
+    plane : Plane   in which it is to be measured
+
+    Raises
+    ------
+    ValueError
+        If image and background differ in shape or type.
+    """
+    if image.ndim == 2 and background is None:
+        plane = Plane(image, image)
+        floor = options.min_contrast * plane.unit
+        return find_chains(image, options.threshold, floor, options.min_length_px, 1.0).stripe, plane
+    channels = channels_of(image, background)
+    if image.ndim == 2:
+        plane = plane_of(channels, 0)
+        floor = options.min_contrast * plane.unit
+        return find_chains(plane.value, options.threshold, floor, options.min_length_px, 0.0).stripe, plane
+    best: Chosen | None = None
+    clear = False
+    for name in score_names(options.laser_colour):
+        if name == "grey" and clear and background is None:
+            continue  # see signal.find_stripe
+        chosen = find_chains(
+            score_image(channels, name), options.threshold, options.min_contrast * STEPS, options.min_length_px, 0.0
+        )
+        if best is None or chosen.strength > best.strength:
+            best = chosen
+            clear |= chosen.length_px >= 3.0 * options.min_length_px and chosen.usual >= CLEAR * STEPS
+    assert best is not None
+    found = best.stripe
+    k = measuring_channel(
+        channels, options.channel, found.uv, best.prominence, found.chain, best.steep, found.scale_px
+    )
+    return found, plane_of(channels, k)
+
+
+def find_chains(
+    image: Values, threshold: float, floor: float, min_length_px: float, rounding: float, everywhere: bool = False
+) -> Chosen:
+    """Find the stripe in an image in which it is bright.
+
+    Parameters
+    ----------
+    image : (h, w)
+    threshold : float   least prominence as a multiple of the prominence of the image's noise
+    floor : float   least prominence in grey values
+    min_length_px : float   a chain as long is no speck
+    rounding : float   step of the grey values; 0 where they are not rounded
+    everywhere : bool   search every tile in all three sizes, and not only those where something may be
+    """
+    chains, explained = _search(image, threshold, floor, rounding, everywhere)
+    if everywhere or not explained:
+        chains = _with_smaller_sizes(chains, image, threshold, floor, everywhere)
+    uv, prominence, chain, scale, steep, crowded, strength, usual, length = choose(
+        chains.line, chains.place, chains.prominence, chains.steep, chains.factor, chains.begin, chains.end,
+        chains.chain, min_length_px,
+    )  # fmt: skip
+    return Chosen(FoundStripe(uv, chain, scale, crowded), prominence, steep, strength, usual, length)
+
+
+def _search(image: Values, threshold: float, floor: float, rounding: float, everywhere: bool) -> tuple[Chains, bool]:
+    """Chains of one size of an image, and whether no smaller size is needed."""
+    if min(image.shape) < _LEAST_SEARCHED:
+        none, true = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.bool_)
+        return Chains(none, none, none.astype(np.float32), np.zeros(1, dtype=np.int32), true, *[none] * 4), True
+    *found, explained = search(
+        _bytes(image), image.itemsize, threshold, floor, rounding, everywhere, *_maps.unmarked(image.shape)
+    )
+    return Chains(*found), explained
+
+
+def _bytes(image: Values) -> UInt8[np.ndarray, "h w_bytes"]:
+    """The bytes of the values, for reading only: so one compiled kernel serves all types."""
+    view = np.ascontiguousarray(image).view(np.uint8)
+    view.flags.writeable = False
+    return view
+
+
+def _with_smaller_sizes(full: Chains, image: Values, threshold: float, floor: float, everywhere: bool) -> Chains:
+    """The chains of the full size with those of the half and the quarter size, after all of them have competed."""
+    sizes, factors, shape = [full], [full.factor], image.shape
+    for level in range(1, _LEVELS):
+        if min(image.shape) < _LEAST_SIZE:
+            break
+        image = half_size(_bytes(image), image.itemsize)
+        sizes.append(_search(image, threshold, floor, 0.0, everywhere)[0])
+        factors.append(sizes[-1].factor * np.int32(2**level))
+    line, place, prominence, steep = (
+        np.concatenate([getattr(one, name) for one in sizes]) for name in ("line", "place", "prominence", "steep")
+    )
+    lengths = np.concatenate([np.diff(one.start) for one in sizes])
+    start = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
+    factor = np.concatenate(factors)
+    parts = compete(line, place, prominence, start, steep, factor, *_maps.unmarked(shape))
+    return Chains(line, place, prominence, start, steep, factor, *parts)

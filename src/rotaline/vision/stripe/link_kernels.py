@@ -1,0 +1,98 @@
+"""Candidates of ridges linked to chains."""
+
+from typing import no_type_check
+
+import numpy as np
+
+from rotaline.geometry.compiled import compiled
+
+_SHORTEST = 4  # points of a chain
+_GAPS = 3  # lines from one point to the next, at most; the place may differ by one pixel more
+
+
+@compiled
+@no_type_check
+def link(
+    line: np.ndarray,
+    place: np.ndarray,
+    prominence: np.ndarray,
+    n: int,
+    n_lines: int,
+    out_line: np.ndarray,
+    out_place: np.ndarray,
+    out_prominence: np.ndarray,
+    start: np.ndarray,
+    n_chains: int,
+) -> int:
+    """Append the chains of n candidates: those on neighbouring lines are linked where each is the other's nearest.
+
+    Up to two lines may be missing between two linked candidates. ``start[k]`` is where chain k begins in what is appended to. Returns the
+    number of chains.
+    """
+    first = np.zeros(n_lines + _GAPS + 2, np.int32)
+    for k in range(n):
+        first[line[k] + 1] += 1
+    for i in range(len(first) - 1):
+        first[i + 1] += first[i]
+    order = np.empty(n, np.int32)
+    fill = first.copy()
+    for k in range(n):
+        i = line[k]
+        at = fill[i]
+        fill[i] += 1
+        while at > first[i] and place[order[at - 1]] > place[k]:
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = k
+    places = np.empty(n, np.int32)
+    for k in range(n):
+        places[k] = place[order[k]]
+    successor = np.full(n, -1, np.int32)
+    linked = np.zeros(n, np.bool_)
+    for gap in range(1, _GAPS + 1):
+        for i in range(n_lines):
+            low, high = first[i + gap], first[i + gap + 1]
+            if low == high:
+                continue
+            for k in range(first[i], first[i + 1]):
+                if successor[k] >= 0:
+                    continue
+                m = _nearest(places, low, high, places[k])
+                if linked[m] or abs(places[m] - places[k]) > gap + 1:
+                    continue
+                if _nearest(places, first[i], first[i + 1], places[m]) == k:
+                    successor[k] = m
+                    linked[m] = True
+    to = start[n_chains]
+    for k in range(n):
+        if linked[k]:
+            continue
+        begin = to
+        m = k
+        while m >= 0:
+            out_line[to], out_place[to], out_prominence[to] = line[order[m]], places[m], prominence[order[m]]
+            to += 1
+            m = successor[m]
+        if to - begin < _SHORTEST:
+            to = begin
+        else:
+            n_chains += 1
+            start[n_chains] = to
+    return n_chains
+
+
+@compiled
+@no_type_check
+def _nearest(places: np.ndarray, low: int, high: int, wanted: int) -> int:
+    """Index of the place nearest to the wanted one among the ascending ones from low to high; the smaller of two as near."""
+    while high - low > 8:
+        middle = (low + high) // 2
+        if places[middle] <= wanted:
+            low = middle
+        else:
+            high = middle + 1
+    best = low
+    for k in range(low + 1, high):
+        if abs(places[k] - wanted) < abs(places[best] - wanted):
+            best = k
+    return best

@@ -1,0 +1,54 @@
+"""The image in which the centres are measured."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32, Int, UInt8, UInt16
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """One channel of a frame.
+
+    Attributes
+    ----------
+    value : (h, w)   grey values, background subtracted
+    source : (h, w)   the same as the camera gave them; the same array where nothing was subtracted
+    lit : bool   a background was subtracted that shows a scene in the light of lamps
+    """
+
+    value: UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"] | Float32[np.ndarray, "h w"]
+    source: UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]
+    lit: bool = False
+
+    @property
+    def flat(self) -> UInt8[np.ndarray, " p"] | UInt16[np.ndarray, " p"] | Float32[np.ndarray, " p"]:
+        """The grey values, row after row."""
+        return self.value.reshape(-1)
+
+    @property
+    def top(self) -> int:
+        """Greatest value of the sensor's range."""
+        return int(np.iinfo(self.source.dtype).max)
+
+    @property
+    def limit(self) -> int:
+        """Least value that counts as clipped."""
+        return self.top - 2 if self.top == 255 else int(0.98 * self.top)
+
+    @property
+    def unit(self) -> float:
+        """One grey value of an 8 bit image, in the image's grey values (1 or 257)."""
+        return self.top / 255.0
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, px."""
+        return self.value.shape[1], self.value.shape[0]
+
+    def around(self, uv: Float[np.ndarray, "n 2"], margin_px: float) -> tuple["Plane", Int[np.ndarray, "2"]]:
+        """The part that holds all points and a margin about them, and its first pixel (u, v)."""
+        width, height = self.size
+        u0, v0 = np.maximum(np.floor(uv.min(axis=0) - margin_px).astype(int), 0)
+        u1, v1 = np.minimum(np.ceil(uv.max(axis=0) + margin_px).astype(int) + 1, [width, height])
+        return Plane(self.value[v0:v1, u0:u1], self.source[v0:v1, u0:u1], self.lit), np.array([u0, v0])

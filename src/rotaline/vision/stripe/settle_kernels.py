@@ -1,0 +1,330 @@
+"""Which chains stay: they compete for the pixels that they cover, and what is faint beside the strongest one goes."""
+
+from typing import no_type_check
+
+import numpy as np
+
+from rotaline.geometry.compiled import compiled
+
+_MAX_CHAINS = 400
+_SHORTEST = 4  # points of a chain
+_CROWD = 20  # chains; a stripe alone makes fewer
+_CROWD_PART, _CROWD_SHARE, _FAINT_PART = 0.25, 0.04, 0.035
+
+
+@compiled
+@no_type_check
+def compete(
+    line: np.ndarray,
+    place: np.ndarray,
+    prominence: np.ndarray,
+    start: np.ndarray,
+    steep: np.ndarray,
+    factor: np.ndarray,
+    taken: np.ndarray,
+    mark: int,
+    finest: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Give every pixel to one chain only, the chain with the larger sum of prominence first.
+
+    Parameters
+    ----------
+    line, place, prominence : (n,)   points of the chains, in px of the size of the image in which they were found
+    start : (k + 1,)   where each chain begins
+    steep, factor : (k,)   kind of each chain, and px of the full image for one of its own
+    taken : (h, w)   uint8, nowhere ``mark``, which is set here
+    finest : (h, w)   float32, zeros; zeros again afterwards
+
+    Returns
+    -------
+    begin, end, chain : (m,)   the parts that stay: their points, and the chains they are of
+    """
+    n = len(start) - 1
+    strength = np.zeros(n, np.float64)
+    for c in range(n):
+        for k in range(start[c], start[c + 1]):
+            strength[c] += prominence[k]
+        strength[c] *= factor[c]
+    order = _descending(strength)[:_MAX_CHAINS]
+    coarse = False
+    for c in order:
+        coarse |= factor[c] > 1
+    if coarse:
+        order = _coarse_back(line, place, prominence, start, steep, factor, strength, order, finest)
+    most = 0
+    for c in order:
+        most += (start[c + 1] - start[c]) // _SHORTEST
+    begin, end, chain = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
+    m = 0
+    for c in order:
+        first = m
+        length = 0
+        for k in range(start[c], start[c + 1] + 1):
+            free = False
+            if k < start[c + 1]:
+                row, column = _pixel(line[k], place[k], steep[c], factor[c], taken.shape)
+                free = taken[row, column] != mark
+            if free:
+                length += 1
+            else:
+                if length >= _SHORTEST:
+                    begin[m], end[m], chain[m] = k - length, k, c
+                    m += 1
+                length = 0
+        for p in range(first, m):
+            _paint(line, place, begin[p], end[p], steep[c], factor[c], taken, mark)
+    return begin[:m], end[:m], chain[:m]
+
+
+@compiled
+@no_type_check
+def _descending(values: np.ndarray) -> np.ndarray:
+    """Order of the values, largest first, by Shell's method."""
+    order = np.arange(len(values))
+    gap = len(values) // 2
+    while gap > 0:
+        for i in range(gap, len(order)):
+            moved = order[i]
+            j = i
+            while j >= gap and (
+                values[order[j - gap]] < values[moved]
+                or (values[order[j - gap]] == values[moved] and order[j - gap] > moved)
+            ):
+                order[j] = order[j - gap]
+                j -= gap
+            order[j] = moved
+        gap //= 2
+    return order
+
+
+@compiled
+@no_type_check
+def median(values: np.ndarray) -> float:
+    """Median, by Hoare's selection in a copy of the values; of an even number of them the mean of the two in the middle."""
+    n = len(values)
+    rest = values.copy()
+    middle = n // 2
+    low, high = 0, n - 1
+    while low < high:
+        pivot = rest[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while rest[i] < pivot:
+                i += 1
+            while rest[j] > pivot:
+                j -= 1
+            if i <= j:
+                rest[i], rest[j] = rest[j], rest[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            break
+    if n % 2 == 1:
+        return float(rest[middle])
+    below = rest[0]
+    for k in range(middle):
+        below = max(below, rest[k])
+    return 0.5 * (float(below) + float(rest[middle]))
+
+
+@compiled
+@no_type_check
+def _coarse_back(
+    line: np.ndarray,
+    place: np.ndarray,
+    prominence: np.ndarray,
+    start: np.ndarray,
+    steep: np.ndarray,
+    factor: np.ndarray,
+    strength: np.ndarray,
+    order: np.ndarray,
+    finest: np.ndarray,
+) -> np.ndarray:
+    """The order with those chains last that cover finer ones which are clearly stronger together.
+
+    The finer ones are counted once for each row (column) of the coarse one.
+    """
+    back = np.zeros(len(order), np.bool_)
+    for scale in (1, 2, 4):
+        if scale > 1:
+            for i in range(len(order)):
+                c = order[i]
+                if factor[c] == scale:
+                    inside = _sum(line, place, start[c], start[c + 1], steep[c], scale, finest)
+                    back[i] = inside > np.sqrt(scale) * strength[c]
+        for c in order:
+            if factor[c] == scale:
+                for k in range(start[c], start[c + 1]):
+                    row, column = _pixel(line[k], place[k], steep[c], scale, finest.shape)
+                    finest[row, column] = max(finest[row, column], prominence[k] * scale)
+    for c in order:
+        for k in range(start[c], start[c + 1]):
+            row, column = _pixel(line[k], place[k], steep[c], factor[c], finest.shape)
+            finest[row, column] = 0.0
+    out = np.empty_like(order)
+    n = 0
+    for late in (False, True):
+        for i in range(len(order)):
+            if back[i] == late:
+                out[n] = order[i]
+                n += 1
+    return out
+
+
+@compiled
+@no_type_check
+def _pixel(line: int, place: int, steep: bool, factor: int, shape: tuple[int, int]) -> tuple[int, int]:
+    """Row and column of the pixel of the full image at a point."""
+    middle = 2 * (factor // 4)
+    row, column = (line, place) if steep else (place, line)
+    return min(row * factor + middle, shape[0] - 1), min(column * factor + middle, shape[1] - 1)
+
+
+@compiled
+@no_type_check
+def _middle(line: np.ndarray, place: np.ndarray, k: int, end: int, factor: int, at: int) -> tuple[int, int]:
+    """Place of a chain on line ``at`` of the full image, and the last point that does not lie beyond it; k is one before."""
+    middle = 0.5 * (factor - 1)
+    while k + 1 < end and line[k + 1] * factor + middle <= at:
+        k += 1
+    between = at - line[k] * factor - middle
+    middle += place[k] * factor
+    if k + 1 < end:
+        middle += between * (place[k + 1] - place[k]) / (line[k + 1] - line[k])
+    return int(np.rint(middle)), k
+
+
+@compiled
+@no_type_check
+def _reach(line: np.ndarray, begin: int, end: int, factor: int, n_lines: int) -> tuple[int, int, int]:
+    """First line of the full image that a chain covers, the first that it does not cover any more, and how far it covers to both sides."""
+    first = line[begin] * factor + factor // 2
+    last = line[end - 1] * factor + (factor - 1) // 2
+    return first, min(last, n_lines - 1) + 1, int(np.rint(2.5 * factor + 2.0))
+
+
+@compiled
+@no_type_check
+def _paint(
+    line: np.ndarray, place: np.ndarray, begin: int, end: int, steep: bool, factor: int, field: np.ndarray, value: int
+) -> None:
+    """Set the pixels that a part of a chain covers."""
+    first, last, half = _reach(line, begin, end, factor, field.shape[0] if steep else field.shape[1])
+    k = begin
+    if factor == 1 and last - first == end - begin:  # the usual case, without gaps
+        for k in range(begin, end):
+            paint_across(field, line[k], place[k] - half, place[k] + half, steep, value)
+        return
+    for at in range(first, last):
+        middle, k = _middle(line, place, k, end, factor, at)
+        paint_across(field, at, middle - half, middle + half, steep, value)
+
+
+@compiled
+@no_type_check
+def paint_across(field: np.ndarray, at: int, low: int, high: int, steep: bool, value: int) -> None:
+    """Set the pixels from low to high of one row (steep) or column."""
+    line = np.uint64(at)  # unsigned numbers never count from the end, which makes faster loops
+    if steep:
+        for j in range(np.uint64(max(low, 0)), np.uint64(min(high + 1, field.shape[1]))):
+            field[line, j] = value
+    else:
+        for i in range(np.uint64(max(low, 0)), np.uint64(min(high + 1, field.shape[0]))):
+            field[i, line] = value
+
+
+@compiled
+@no_type_check
+def _sum(
+    line: np.ndarray, place: np.ndarray, begin: int, end: int, steep: bool, factor: int, field: np.ndarray
+) -> float:
+    """Sum over the pixels that a chain covers."""
+    h, w = field.shape
+    first, last, half = _reach(line, begin, end, factor, h if steep else w)
+    k = begin
+    total = 0.0
+    for at in range(first, last):
+        middle, k = _middle(line, place, k, end, factor, at)
+        if steep:
+            for j in range(max(middle - half, 0), min(middle + half + 1, w)):
+                total += field[at, j]
+        else:
+            for i in range(max(middle - half, 0), min(middle + half + 1, h)):
+                total += field[i, at]
+    return total
+
+
+@compiled
+@no_type_check
+def choose(
+    line: np.ndarray,
+    place: np.ndarray,
+    prominence: np.ndarray,
+    steep: np.ndarray,
+    factor: np.ndarray,
+    begin: np.ndarray,
+    end: np.ndarray,
+    chain: np.ndarray,
+    min_length_px: float,
+) -> tuple:
+    """The parts of chains that are the stripe, strongest first.
+
+    In a crowd, which shows the scene itself, only those stay that have a quarter of the prominence of the strongest one and a twenty-fifth of
+    its strength, and are not short. Elsewhere a thirtieth of the prominence is enough.
+
+    Returns
+    -------
+    uv : (n, 2)   px of the full image
+    prominence, chain : (n,)
+    scale_px : (k,)
+    is_steep : (k,)
+    crowded : bool
+    strength, prominence, length_px : of the strongest part: the sum and the median of its prominence, and its length
+    """
+    n = len(begin)
+    strength = np.zeros(n, np.float64)
+    n_long = 0
+    for p in range(n):
+        for k in range(begin[p], end[p]):
+            strength[p] += prominence[k]
+        strength[p] *= factor[chain[p]]
+        n_long += (end[p] - begin[p]) * factor[chain[p]] >= min_length_px
+    order = _descending(strength)
+    best, usual, length = 0.0, 0.0, 0.0
+    if n > 0:
+        first = order[0]
+        best, usual = strength[first], median(prominence[begin[first] : end[first]])
+        length = float((end[first] - begin[first]) * factor[chain[first]])
+    crowded = n_long > _CROWD
+    part, share = (_CROWD_PART, _CROWD_SHARE) if crowded else (_FAINT_PART, 0.0)
+    kept = np.empty(n, np.int64)
+    m, size = 0, 0
+    for p in order:
+        if crowded and (end[p] - begin[p]) * factor[chain[p]] < min_length_px:
+            continue
+        if strength[p] > share * best and median(prominence[begin[p] : end[p]]) > part * usual:
+            kept[m] = p
+            m += 1
+            size += end[p] - begin[p]
+    uv = np.empty((size, 2), np.float64)
+    number = np.empty(size, np.int64)
+    heights = np.empty(size, np.float64)
+    scale = np.empty(m, np.float64)
+    is_steep = np.empty(m, np.bool_)
+    to = 0
+    for q in range(m):
+        p = kept[q]
+        c = chain[p]
+        scale[q], is_steep[q] = factor[c], steep[c]
+        for k in range(begin[p], end[p]):
+            row, column = (line[k], place[k]) if steep[c] else (place[k], line[k])
+            uv[to, 0] = column * factor[c] + 0.5 * (factor[c] - 1)
+            uv[to, 1] = row * factor[c] + 0.5 * (factor[c] - 1)
+            number[to] = q
+            heights[to] = prominence[k]
+            to += 1
+    return uv, heights, number, scale, is_steep, crowded, best, usual, length

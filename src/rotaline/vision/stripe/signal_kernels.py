@@ -1,0 +1,248 @@
+"""The sums over a whole frame that :mod:`rotaline.vision.stripe.channels` needs, each in one sweep."""
+
+from typing import no_type_check
+
+import numpy as np
+
+from rotaline.geometry.compiled import compiled
+
+WHITE_TILE = 32  # px
+_BINS = 1024
+_KEYS = -0.5  # of Keys' cubic convolution
+_LEAST_PART = 0.05  # of a pixel in a sample
+
+
+@compiled
+@no_type_check
+def score(
+    image: np.ndarray,
+    background: np.ndarray,
+    subtracted: bool,
+    lines: np.ndarray,
+    weights: np.ndarray,
+    zero: float,
+    white_limit: float,
+    out: np.ndarray,
+    white: np.ndarray,
+) -> None:
+    """A weighted sum of three channels, background subtracted, as whole numbers.
+
+    Parameters
+    ----------
+    image, background : (h, 3 w)   red, green, blue of each pixel; the background is read where it is to be ``subtracted``
+    lines : (3, 2)   gain and offset of the background for each channel
+    weights : (3,)
+    zero : float   the number for a sum of 0; numbers end at 0 and 65535
+    white_limit : float   pixels as high in all channels are white
+    out : (h, w)   uint16
+    white : (rows, columns)   bool, set where a tile has a white pixel
+    """
+    h, w = out.shape
+    w0, w1, w2 = np.float32(weights[0]), np.float32(weights[1]), np.float32(weights[2])
+    g0, g1, g2 = np.float32(lines[0, 0]), np.float32(lines[1, 0]), np.float32(lines[2, 0])
+    o0, o1, o2 = np.float32(lines[0, 1]), np.float32(lines[1, 1]), np.float32(lines[2, 1])
+    half, most = np.float32(zero + 0.5), np.float32(65535.0)
+    sums = np.empty(w, np.float32)
+    for i in range(h):
+        row, to = image[i], out[i]
+        n_white = 0
+        for j in range(w):
+            a, b, c = row[3 * j], row[3 * j + 1], row[3 * j + 2]
+            n_white += min(a, min(b, c)) >= white_limit
+            sums[j] = w0 * np.float32(a) + w1 * np.float32(b) + w2 * np.float32(c)
+        if subtracted:
+            under = background[i]
+            for j in range(w):
+                a = g0 * np.float32(under[3 * j]) + o0
+                b = g1 * np.float32(under[3 * j + 1]) + o1
+                c = g2 * np.float32(under[3 * j + 2]) + o2
+                sums[j] -= w0 * a + w1 * b + w2 * c
+        for j in range(w):
+            to[j] = np.uint16(np.int32(min(max(sums[j] + half, np.float32(0.0)), most)))
+        if n_white:
+            for j in range(w):
+                if min(row[3 * j], min(row[3 * j + 1], row[3 * j + 2])) >= white_limit:
+                    white[i // WHITE_TILE, j // WHITE_TILE] = True
+
+
+@compiled
+@no_type_check
+def subtract(image: np.ndarray, background: np.ndarray, gain: float, offset: float, out: np.ndarray) -> None:
+    """``image - (gain * background + offset)`` of (h, w) planes, as float32."""
+    g, o = np.float32(gain), np.float32(offset)
+    for i in range(out.shape[0]):
+        row, under, to = image[i], background[i], out[i]
+        for j in range(len(to)):
+            to[j] = np.float32(row[j]) - (g * np.float32(under[j]) + o)
+
+
+@compiled
+@no_type_check
+def take_pairs(
+    image: np.ndarray,
+    background: np.ndarray,
+    channel: int,
+    n_channels: int,
+    step: int,
+    limit: float,
+    x: np.ndarray,
+    y: np.ndarray,
+) -> int:
+    """Values of every ``step``-th pixel in rows and columns of the background (x) and the image (y), where the background is not 0 and both are
+    below the limit; returns how many. The two are (h, w * n_channels)."""
+    n = 0
+    for i in range(0, image.shape[0], step):
+        row, under = image[i], background[i]
+        for j in range(channel, len(row), step * n_channels):
+            a, b = under[j], row[j]
+            x[n], y[n] = a, b
+            n += (a > 0) & (max(a, b) < limit)
+    return n
+
+
+@compiled
+@no_type_check
+def fit_line(
+    x: np.ndarray, y: np.ndarray, unit: float, passes: int, least: int, least_spread: float, lit: float
+) -> tuple:
+    """Gain and offset of y over x, by the definition of :func:`rotaline.vision.stripe.signal.match_exposure`."""
+    n = len(x)
+    rest, inner = np.empty(n, np.float32), np.empty(n, np.float32)
+    count = np.empty(_BINS, np.int32)
+    for i in range(n):
+        rest[i] = y[i] - x[i]
+    gain, offset = 1.0, _middle(rest, inner, count)
+    for _ in range(passes):
+        for i in range(n):
+            rest[i] = abs(y[i] - gain * x[i] - offset)
+        limit = 3.0 * max(1.4826 * _middle(rest, inner, count), unit)
+        m, sx, sy, sxx, sxy = 0, 0.0, 0.0, 0.0, 0.0
+        for i in range(n):
+            near = 1.0 if rest[i] <= limit else 0.0
+            a, b = float(x[i]), float(y[i])
+            m += rest[i] <= limit
+            sx += near * a
+            sy += near * b
+            sxx += near * a * a
+            sxy += near * a * b
+        spread = sxx - sx * sx / max(m, 1)
+        if m < least or spread < least_spread * least_spread * m:
+            bright = _middle(x, inner, count)
+            return (_middle(y, inner, count) / bright if bright >= lit else 1.0), 0.0
+        gain = (sxy - sx * sy / m) / spread
+        offset = (sy - gain * sx) / m
+    return gain, offset
+
+
+@compiled
+@no_type_check
+def _middle(values: np.ndarray, inner: np.ndarray, count: np.ndarray) -> float:
+    """Median: the values are counted in bins, and only those of the bins in the middle are sorted."""
+    n = len(values)
+    low = high = values[0]
+    for i in range(n):
+        low, high = min(low, values[i]), max(high, values[i])
+    if low == high:
+        return float(low)
+    scale = np.float32((_BINS - 1) / (high - low))
+    for b in range(_BINS):
+        count[b] = 0
+    for i in range(n):
+        count[np.int32((values[i] - low) * scale)] += 1
+    first = n_below = 0
+    while n_below + count[first] <= (n - 1) // 2:
+        n_below += count[first]
+        first += 1
+    last, n_to = first, n_below + count[first]
+    while n_to <= n // 2:
+        last += 1
+        n_to += count[last]
+    m = 0
+    for i in range(n):
+        b = np.int32((values[i] - low) * scale)
+        inner[m] = values[i]
+        m += (b >= first) & (b <= last)
+    ordered = np.sort(inner[:m])
+    return 0.5 * (float(ordered[(n - 1) // 2 - n_below]) + float(ordered[n // 2 - n_below]))
+
+
+@compiled
+@no_type_check
+def heights(
+    image: np.ndarray,
+    background: np.ndarray,
+    subtracted: bool,
+    lines: np.ndarray,
+    limit: float,
+    uv: np.ndarray,
+    steep: np.ndarray,
+    scale: np.ndarray,
+    height: np.ndarray,
+    clipped: np.ndarray,
+) -> None:
+    """How high a stripe stands above its sides at n points, and where it is clipped, in each of three channels.
+
+    The profiles run along the row of steep points and the column of the others, over six times the scale.
+
+    Parameters
+    ----------
+    image, background : (h, 3 w)   red, green, blue of each pixel; the background is read where it is to be ``subtracted``
+    lines : (3, 2)   gain and offset of the background for each channel
+    limit : float   values from here on are clipped
+    uv : (n, 2)
+    steep : (n,)
+    scale : (n,)
+    height : (3, n)   for the result
+    clipped : (3, n)   bool, for the result
+    """
+    h, w = image.shape[0], image.shape[1] // 3
+    weight = np.empty(4)
+    tie = 1e-6
+    for p in range(len(uv)):
+        along, across = (uv[p, 0], uv[p, 1]) if steep[p] else (uv[p, 1], uv[p, 0])
+        size_along, size_across = (w, h) if steep[p] else (h, w)
+        low = int(np.floor(across))
+        _cubic(across - low, weight)
+        middle = int(np.floor(along + 0.5 - tie))
+        reach = int(np.ceil(6.0 * scale[p]))
+        inside = 0 <= across <= size_across - 1
+        for k in range(3):
+            peak, side, n_side = -np.inf, 0.0, 0
+            hit = False
+            for line in range(max(middle - reach, 0), min(middle + reach + 1, size_along)):
+                distance = abs(line - along)
+                if not inside or distance > 6.0 * scale[p] + tie:
+                    continue
+                near, far = distance <= 2.0 * scale[p], distance >= 4.0 * scale[p]
+                if not near and not far:
+                    continue
+                value = 0.0
+                for q in range(4):
+                    if weight[q] == 0.0:
+                        continue
+                    place = min(max(low + q - 1, 0), size_across - 1)
+                    i, j = (place, 3 * line + k) if steep[p] else (line, 3 * place + k)
+                    pixel = float(image[i, j])
+                    hit |= near and (q == 1 or q == 2) and weight[q] > _LEAST_PART and pixel >= limit
+                    if subtracted:
+                        pixel -= lines[k, 0] * background[i, j] + lines[k, 1]
+                    value += weight[q] * pixel
+                if near:
+                    peak = max(peak, value)
+                if far:
+                    side += value
+                    n_side += 1
+            height[k, p] = max(peak - side / max(n_side, 1), 0.0)
+            clipped[k, p] = hit
+
+
+@compiled
+@no_type_check
+def _cubic(f: float, weight: np.ndarray) -> None:
+    """Weights of four pixels at the fraction ``f`` between the second and the third."""
+    f2 = f * f
+    f3 = f2 * f
+    weight[0] = _KEYS * (f3 - 2.0 * f2 + f)
+    weight[1] = 1.5 * f3 - 2.5 * f2 + 1.0
+    weight[2] = -1.5 * f3 + 2.0 * f2 + 0.5 * f
+    weight[3] = 0.5 * (f3 - f2)

@@ -1,0 +1,204 @@
+"""Following chains to curves in compiled loops. See :mod:`rotaline.vision.stripe.trace`."""
+
+from typing import no_type_check
+
+import numpy as np
+
+from rotaline.geometry.compiled import compiled
+from rotaline.vision.stripe.centre_kernels import subtract_sides, weighted_centroids
+from rotaline.vision.stripe.chain_kernels import (
+    alike,
+    break_chains,
+    join_chains,
+    local_lines,
+    resample,
+    starts_of,
+    window_mean,
+    window_median,
+)
+
+_WINDOW = 6  # points on either side that settle the direction
+_ROUGH_PX, _FINE_PX = 0.3, 0.05  # misfit of a line that is not worth a one-sided window
+_SHORT_PX = 0.02  # a centre is settled when it moves by less
+_JOIN_PX = 9.0
+_BOTH_SIDES = 0.2  # least fall to the higher side, part of the fall to the lower side
+_LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.4, 20.0
+
+
+@compiled
+@no_type_check
+def normals(uv: np.ndarray, starts: np.ndarray, noise_px: float) -> np.ndarray:
+    """Unit normals of chains, (n, 2)."""
+    smooth, tangent = np.empty_like(uv), np.empty_like(uv)
+    local_lines(uv, starts, _WINDOW, noise_px, smooth, tangent)
+    for i in range(len(uv)):
+        tangent[i, 0], tangent[i, 1] = -tangent[i, 1], tangent[i, 0]
+    return tangent
+
+
+@compiled
+@no_type_check
+def begin(uv: np.ndarray, chain: np.ndarray, scale_px: np.ndarray) -> tuple:
+    """The found chains one pixel apart, those found in smaller images smoothed: points, starts, widths to begin with, normals."""
+    starts = starts_of(chain)
+    width = np.empty(len(uv))
+    wide = False
+    for i in range(len(uv)):
+        width[i] = 1.5 * scale_px[chain[i]]
+        wide |= width[i] > 1.5
+    if wide:
+        smooth, tangent = np.empty_like(uv), np.empty_like(uv)
+        local_lines(uv, starts, 2, _ROUGH_PX, smooth, tangent)
+        for i in range(len(uv)):
+            if width[i] == 1.5:
+                smooth[i, 0], smooth[i, 1] = uv[i, 0], uv[i, 1]
+        uv = smooth
+    dense, edges, wide_px = resample(uv, starts, width)
+    return dense, edges, wide_px, normals(dense, edges, _ROUGH_PX)
+
+
+@compiled
+@no_type_check
+def half_maximum(
+    uv: np.ndarray,
+    starts: np.ndarray,
+    width_px: np.ndarray,
+    normal: np.ndarray,
+    spans: np.ndarray,
+    distance: np.ndarray,
+    level: np.ndarray,
+    share: np.ndarray,
+) -> tuple:
+    """The chains that are wider than a chain of the full image, moved to the middle of what stands above half the height.
+
+    A ridge that was found in another image, or in a smaller one, may lie beside the top and say little about the width.
+    Middle and width are averaged along the chain. Points without such a top, as at an edge, are left out.
+
+    Returns
+    -------
+    points, starts, widths, normals
+    """
+    n = len(uv)
+    shift, full, stands = np.zeros(n), np.zeros(n), np.ones(n)
+    for i in range(n):
+        if width_px[i] <= 1.5:
+            continue
+        a, b = spans[i], spans[i + 1]
+        while b > a and share[b - 1] == 0.0:
+            b -= 1
+        while a < b and share[a] == 0.0:
+            a += 1
+        stands[i] = 0.0
+        top = -1
+        for k in range(a, b):
+            if abs(distance[k]) <= 0.8 * width_px[i] and (top < 0 or level[k] > level[top]):
+                top = k
+        if top < 0:
+            continue
+        peak = left = right = level[top]
+        for k in range(a, top):
+            left = min(left, level[k])
+        for k in range(top + 1, b):
+            right = min(right, level[k])
+        base = max(left, right)
+        if peak - base > _BOTH_SIDES * (peak - min(left, right)):
+            stands[i] = 1.0
+        half = 0.5 * (float(peak) + float(base))
+        low = high = top
+        while low > a and level[low - 1] > half:
+            low -= 1
+        while high < b - 1 and level[high + 1] > half:
+            high += 1
+        shift[i] = 0.5 * (distance[low] + distance[high])
+        full[i] = (high - low + 1) / max(abs(normal[i, 0]), abs(normal[i, 1]))
+    moved, width, edges = np.empty_like(uv), np.empty(n), np.empty(len(starts), np.int64)
+    mean = np.empty(n)
+    window_mean(stands, starts, 6, mean)
+    scratch = np.empty(64)
+    m = 0
+    for c in range(len(starts) - 1):
+        edges[c] = m
+        for i in range(starts[c], starts[c + 1]):
+            along = 0.0
+            width[m] = width_px[i]
+            if width_px[i] > 1.5:
+                if mean[i] <= 0.5:
+                    continue
+                along = window_median(shift, starts[c], starts[c + 1], i, 6, scratch)
+                wide = window_median(full, starts[c], starts[c + 1], i, 10, scratch) / 2.355
+                width[m] = min(max(wide, _LEAST_WIDTH_PX), 2.0 * width_px[i])
+            moved[m, 0], moved[m, 1] = uv[i, 0] + along * normal[i, 0], uv[i, 1] + along * normal[i, 1]
+            m += 1
+    edges[len(starts) - 1] = m
+    return moved[:m], edges, width[:m], normals(moved[:m], edges, _ROUGH_PX)
+
+
+@compiled
+@no_type_check
+def follow(
+    uv: np.ndarray,
+    starts: np.ndarray,
+    width_px: np.ndarray,
+    normal: np.ndarray,
+    spans: np.ndarray,
+    distance: np.ndarray,
+    level: np.ndarray,
+    share: np.ndarray,
+    clipped: np.ndarray,
+    hits: np.ndarray,
+    least: int,
+    join: bool,
+) -> tuple:
+    """Move the points to the centroids, break the chains where these jump, join what goes on, and space the points equally again.
+
+    Returns
+    -------
+    points, starts, widths, normals
+    """
+    n = len(uv)
+    line, sides = np.empty((n, 3)), np.empty((n, 2))
+    subtract_sides(spans, distance, level, share, clipped, hits, width_px, line, sides)
+    shift, measured, good = np.empty(n), np.empty(n), np.empty(n, np.bool_)
+    u, height = np.empty(n), np.empty(n)
+    weighted_centroids(
+        spans, distance, level, share, line[:, 2], np.zeros(n), width_px, 1.0, _SHORT_PX, shift, u, measured, height
+    )
+    for i in range(n):
+        good[i] = abs(shift[i]) <= 1.5 * width_px[i] + 1.0
+        measured[i] = min(max(measured[i], _LEAST_WIDTH_PX), _MOST_WIDTH_PX) if good[i] else width_px[i]
+    alike(measured, starts, 0.25, good)
+    moved, tangent = np.empty((n, 2)), np.empty((n, 2))
+    for i in range(n):
+        s = shift[i] if good[i] else 0.0
+        moved[i, 0], moved[i, 1] = uv[i, 0] + s * normal[i, 0], uv[i, 1] + s * normal[i, 1]
+        tangent[i, 0], tangent[i, 1] = normal[i, 1], -normal[i, 0]
+    index, edges = break_chains(moved, tangent, good, starts, least)
+    moved, kept = moved[index], measured[index]
+    width, smooth, ahead = np.empty(len(kept)), np.empty_like(moved), np.empty_like(moved)
+    window_mean(kept, edges, 10, width)
+    local_lines(moved, edges, 3, _FINE_PX, smooth, ahead)
+    dense, edges, wide = resample(smooth, edges, width)
+    if join and len(edges) > 2:
+        across = normals(dense, edges, _ROUGH_PX)
+        for i in range(len(across)):
+            across[i, 0], across[i, 1] = across[i, 1], -across[i, 0]
+        order, edges = join_chains(dense, across, edges, _JOIN_PX)
+        dense, edges, wide = resample(dense[order], edges, wide[order])
+    return dense, edges, wide, normals(dense, edges, _FINE_PX)
+
+
+@compiled
+@no_type_check
+def long_chains(uv: np.ndarray, starts: np.ndarray, width_px: np.ndarray, normal: np.ndarray, least: int) -> tuple:
+    """The chains of ``least`` points or more."""
+    keep = np.zeros(len(uv), np.bool_)
+    edges = np.empty_like(starts)
+    m, kept = 0, 0
+    for c in range(len(starts) - 1):
+        if starts[c + 1] - starts[c] >= least:
+            edges[kept] = m
+            kept += 1
+            m += starts[c + 1] - starts[c]
+            keep[starts[c] : starts[c + 1]] = True
+    edges[kept] = m
+    return uv[keep], edges[: kept + 1], width_px[keep], normal[keep]

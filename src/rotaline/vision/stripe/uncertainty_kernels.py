@@ -1,0 +1,92 @@
+"""Noise of the pixels and scatter of the centres in compiled loops. See :mod:`rotaline.vision.stripe.plain.uncertainty`."""
+
+from typing import no_type_check
+
+import numpy as np
+
+from rotaline.geometry.compiled import compiled
+from rotaline.vision.stripe.chain_kernels import kth_smallest, median_of
+
+_GRAINY = 1.25
+_TRIM = 0.9
+_TRIMMED_TO_SIGMA = 1.267  # of a Gaussian cut at its 90 % quantile
+_LEAST_PAIRS, _LEAST_POINTS = 40, 40
+
+
+@compiled
+@no_type_check
+def _trimmed(values: np.ndarray) -> float:
+    """Standard deviation of a zero-mean sample from its smaller 90 %."""
+    if len(values) == 0:
+        return 0.0
+    k = int(_TRIM * (len(values) - 1))
+    kth_smallest(values, len(values), k)
+    total = 0.0
+    for i in range(k + 1):
+        total += values[i] * values[i]
+    return _TRIMMED_TO_SIGMA * np.sqrt(total / (k + 1))
+
+
+@compiled
+@no_type_check
+def pixel_noise(differences: np.ndarray, ends: np.ndarray, starts: np.ndarray, floor: float) -> np.ndarray:
+    """Standard deviation of a pixel beside each point's chain, from :func:`rotaline.vision.stripe.strip_kernels.side_differences`."""
+    noise = np.empty(starts[-1])
+    everywhere = -1.0
+    for c in range(len(starts) - 1):
+        if ends[c + 1] - ends[c] >= _LEAST_PAIRS:
+            own = _trimmed(differences[ends[c] : ends[c + 1]])
+        else:
+            if everywhere < 0.0:
+                everywhere = _trimmed(differences.copy())
+            own = everywhere
+        noise[starts[c] : starts[c + 1]] = max(own, floor)
+    return noise
+
+
+@compiled
+@no_type_check
+def scatter_and_floor(
+    uv: np.ndarray, starts: np.ndarray, normal: np.ndarray, shift_px: np.ndarray, u_px: np.ndarray, noise: np.ndarray
+) -> tuple:
+    """As :func:`rotaline.vision.stripe.plain.uncertainty.scatter_and_floor`, of points moved by ``shift_px`` (NaN: not found)."""
+    n = len(uv)
+    u, v, stated = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        found = not np.isnan(shift_px[i])
+        s = shift_px[i] if found else 0.0
+        u[i], v[i] = uv[i, 0] + s * normal[i, 0], uv[i, 1] + s * normal[i, 1]
+        stated[i] = u_px[i] * noise[i] if found else 9.0
+    scratch, scatter, clear = np.empty(n), np.empty(n), np.empty(n)
+    first = measured = expected = limit = 0.0
+    for lag in (3, 8):
+        reach = 2 * lag
+        m = 0
+        for c in range(len(starts) - 1):
+            for i in range(starts[c] + reach, starts[c + 1] - reach):
+                scratch[m] = stated[i]
+                m += 1
+        if m < _LEAST_POINTS:
+            break
+        middle = median_of(scratch, m)
+        m = 0
+        for c in range(len(starts) - 1):
+            for i in range(starts[c] + reach, starts[c + 1] - reach):
+                if stated[i] <= middle:
+                    du = u[i - reach] - 4.0 * u[i - lag] + 6.0 * u[i] - 4.0 * u[i + lag] + u[i + reach]
+                    dv = v[i - reach] - 4.0 * v[i - lag] + 6.0 * v[i] - 4.0 * v[i + lag] + v[i + reach]
+                    scatter[m] = abs(du * normal[i, 0] + dv * normal[i, 1])
+                    clear[m] = stated[i]
+                    m += 1
+        expected = median_of(clear, m)
+        limit = expected * (1.0 + 3.5 / np.sqrt(m))
+        found_now = 1.4826 / np.sqrt(70.0) * median_of(scatter, m)
+        if lag == 3:
+            first = measured = found_now
+        elif found_now > _GRAINY * first:
+            measured = found_now
+        else:
+            measured = np.sqrt(0.5 * (first * first + found_now * found_now))
+    if measured > limit:
+        return measured, np.sqrt(measured * measured - expected * expected)
+    return measured, 0.0
