@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install demo test check lock clean
+.PHONY: install demo test check bench lock clean
 
 install: $(VENV)/.installed
 
@@ -26,6 +26,10 @@ check: install
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# How fast and how exact: tables, JSON and pictures; for example make bench ARGS=--quick
+bench: install
+	@$(BIN)/python -m benchmarks $(ARGS)
 
 # Resolve the newest versions that pyproject.toml allows and write them down.
 lock:

@@ -4,6 +4,7 @@
 """
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -41,8 +42,20 @@ PLANS = {
 }
 
 
-def main() -> None:
-    """Print one line a value."""
+@dataclass(frozen=True)
+class Measured:
+    """One feature of one scan: seconds, points, and the error of each value, mm."""
+
+    scan: str
+    feature: str
+    n_points: int
+    seconds: float
+    errors_mm: dict[str, float]
+
+
+def measure() -> list[Measured]:
+    """Print one line a value; a row for each feature."""
+    rows = []
     print(f"{'scan':20} {'feature':17} {'value':15} {'error um':>9} {'u um':>7} {'points':>8} {'s':>6}")
     for name, plan in PLANS.items():
         for feature, (solids, truth) in PARTS.items():
@@ -50,10 +63,18 @@ def main() -> None:
             start = time.perf_counter()
             found = measure_feature(cloud.points_table, feature, viewpoints=cloud.viewpoints_table)
             seconds = time.perf_counter() - start
-            for key, value in truth.items():
-                error, u = 1e3 * (found.value[key] - value), 1e3 * found.uncertainty[key]
-                n = len(cloud.points_table)
-                print(f"{name:20} {feature:17} {key:15} {error:9.2f} {u:7.2f} {n:8d} {seconds:6.2f}")
+            n = len(cloud.points_table)
+            errors = {key: found.value[key] - value for key, value in truth.items()}
+            for key, error in errors.items():
+                u = 1e3 * found.uncertainty[key]
+                print(f"{name:20} {feature:17} {key:15} {1e3 * error:9.2f} {u:7.2f} {n:8d} {seconds:6.2f}")
+            rows.append(Measured(name, feature, n, seconds, errors))
+    return rows
+
+
+def main() -> None:
+    """The table and the machine."""
+    measure()
     print(", ".join([machine(), *(f"{name} {version}" for name, version in versions().items())]))
 
 

@@ -1,4 +1,4 @@
-"""Time of the joint estimate against the number of frames, and against a general solver on the same rows.
+"""Time of the joint estimate against the number of frames and of mounts, and against a general solver on the same rows.
 
 The article's rig at the level of observations, two mounts of the stepped cylinder. The general solver is ``scipy.optimize.least_squares`` with the same residuals
 and sparse analytic derivatives, a Cauchy loss, and the scales of the noise that the joint estimate has found: it need not learn them, assigns no
@@ -8,6 +8,8 @@ point anew, switches nothing on and makes no covariance.
 """
 
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -28,39 +30,105 @@ from rotaline.pipeline.summary import machine, versions
 from rotaline.pipeline.twin import trace_twin
 
 STEPS_DEG = (16.0, 8.0, 4.0, 2.0)
+MOUNTS = (1, 2, 4, 7, 10)
+MOUNT_STEP_DEG = 8.0
 REPEATS = 3
 
 
-def main() -> None:
-    """Print seconds and the exponent of the growth, then the comparison."""
+@dataclass(frozen=True)
+class Estimated:
+    """Time of one problem: seconds of CPU of each repeat; ``general_s`` of scipy's solver on it, NaN where that was not asked for."""
+
+    n_mounts: int
+    n_frames: int
+    n_points: int
+    n_iterations: int
+    seconds: tuple[float, ...]
+    general_s: float
+    general_evaluations: int
+
+
+def measure_frames(steps_deg: Sequence[float] = STEPS_DEG, repeats: int = REPEATS) -> list[Estimated]:
+    """Two mounts, more and more frames of each; print seconds and the exponent of the growth, and the comparison for the first."""
     rows = []
-    for step in STEPS_DEG:
+    for step in steps_deg:
         text = preset_text("article").replace("step_deg = 4.0", f"step_deg = {step}")
-        rig_file = parse_rig(text, "preset article")
-        twin = trace_twin(rig_file.rig(), rig_file.plan(1), spacing_px=2.0).observed(0.02, 0.05, 1)
-        start = _start(twin.observations)
-        setting, layout, state, noise, band = estimate.begin(twin.observations, start)
-        noise = iterate.iterate(setting, layout, state, noise, band).noise
-        seconds = []
-        for _ in range(REPEATS):
-            began = time.process_time()
-            found = estimate.estimate_jointly(twin.observations, start)
-            seconds.append(time.process_time() - began)
-        n_frames = sum(len(m.frame_names) for m in found.mounts)
-        n_points = sum(len(m.surface) for m in found.mounts)
-        rows.append((n_frames, n_points, float(np.median(seconds)), float(np.ptp(seconds)), found.n_iterations))
-        print(
-            f"{n_frames:5d} frames of mounts, {n_points:7d} points: {rows[-1][2]:6.2f} s CPU (spread {rows[-1][3]:.2f}), {found.n_iterations} iterations"
-        )
-        if step == STEPS_DEG[0]:
-            general, n_evaluations = _general(twin.observations, start, noise)
-            print(
-                f"      scipy: {general:.2f} s CPU, {n_evaluations} evaluations, {general / rows[-1][2]:.1f} times as long"
-            )
-    frames, per_iteration = np.array([(r[0], r[2] / r[4]) for r in rows]).T
-    exponent = float(np.polyfit(np.log(frames), np.log(per_iteration), 1)[0])
-    print(f"seconds an iteration grow with the power {exponent:.2f} of the number of frames")
+        rows.append(_estimate(text, repeats, general=step == steps_deg[0]))
+        _print(rows[-1])
+    _print_exponent(rows, [r.n_frames for r in rows], "frames")
+    return rows
+
+
+def measure_mounts(mounts: Sequence[int] = MOUNTS, repeats: int = REPEATS) -> list[Estimated]:
+    """More and more mounts of the same number of frames."""
+    rows = []
+    for n in mounts:
+        rows.append(_estimate(_with_mounts(n), repeats))
+        _print(rows[-1])
+    _print_exponent(rows, [r.n_mounts for r in rows], "mounts")
+    return rows
+
+
+def main() -> None:
+    """Print the tables."""
+    measure_frames()
+    measure_mounts()
     print(", ".join([machine(), *(f"{name} {version}" for name, version in versions().items())]))
+
+
+def _with_mounts(n: int) -> str:
+    """The article's rig with n mounts, 5 mm off centre in directions spread over the turn."""
+    head, rest = preset_text("article").split("[[captures]]                          # nearly centred", 1)
+    tail = rest[rest.index('[[captures]]\nfolder = "ball"') :]
+    captures = ""
+    for k in range(n):
+        angle = 2 * np.pi * k / n + 0.6
+        captures += f"""[[captures]]
+folder = "stepped-{k + 1}"
+role = "artifact"
+part = "stepped-cylinder"
+step_deg = {MOUNT_STEP_DEG}
+mount = {{ position_mm = [{5 * np.cos(angle):.3f}, {5 * np.sin(angle):.3f}], turn_deg = {36 * k}.0 }}
+
+"""
+    return head + captures + tail
+
+
+def _estimate(text: str, repeats: int, general: bool = False) -> Estimated:
+    rig_file = parse_rig(text, "preset article")
+    twin = trace_twin(rig_file.rig(), rig_file.plan(1), spacing_px=2.0).observed(0.02, 0.05, 1)
+    start = _start(twin.observations)
+    seconds = []
+    for _ in range(repeats):
+        began = time.process_time()
+        found = estimate.estimate_jointly(twin.observations, start)
+        seconds.append(time.process_time() - began)
+    other = (float("nan"), 0)
+    if general:
+        setting, layout, state, noise, band = estimate.begin(twin.observations, start)
+        other = _general(twin.observations, start, iterate.iterate(setting, layout, state, noise, band).noise)
+    n_frames = sum(len(m.frame_names) for m in found.mounts)
+    n_points = sum(len(m.surface) for m in found.mounts)
+    return Estimated(len(found.mounts), n_frames, n_points, found.n_iterations, tuple(seconds), *other)
+
+
+def _print(row: Estimated) -> None:
+    median, spread = float(np.median(row.seconds)), float(np.ptp(row.seconds))
+    print(
+        f"{row.n_mounts:3d} mounts, {row.n_frames:5d} frames, {row.n_points:7d} points: {median:6.2f} s CPU "
+        f"(spread {spread:.2f}), {row.n_iterations} iterations"
+    )
+    if np.isfinite(row.general_s):
+        times = row.general_s / median
+        print(
+            f"      scipy: {row.general_s:.2f} s CPU, {row.general_evaluations} evaluations, {times:.1f} times as long"
+        )
+
+
+def _print_exponent(rows: Sequence[Estimated], sizes: Sequence[int], what: str) -> None:
+    per_iteration = [float(np.median(r.seconds)) / r.n_iterations for r in rows]
+    exponent = float(np.polyfit(np.log(sizes), np.log(per_iteration), 1)[0])
+    print(f"seconds an iteration grow with the power {exponent:.2f} of the number of {what}")
 
 
 def _start(observations: SessionObservations) -> JointStart:

@@ -39,10 +39,9 @@ def _png(rig: Rig, parts: list[Placed], laser_on: bool, seed: int) -> int:
     return len(cv2.imencode(".png", image)[1])
 
 
-def main() -> None:
-    """Print one line a scene."""
-    size = tuple(int(n) for n in (sys.argv[1] if len(sys.argv) > 1 else "1280x960").split("x"))
-    rig = build_rig((size[0], size[1]))
+def measure(size: tuple[int, int] = (1280, 960), frames: int = FRAMES) -> dict[str, tuple[float, ...]]:
+    """Print one line a scene; seconds of CPU of each frame, on one thread."""
+    rig, seconds = build_rig(size), {}
     deep = replace(rig, optics=Optics(focus_mm=290.0, f_number=2.8))
     cases = {
         "stripe, stepped cylinder": (rig, _scan(rig, SteppedRod(STEPPED_CYLINDER)), True),
@@ -60,18 +59,28 @@ def main() -> None:
     print(f"{'scene':26} {'s CPU a frame':>13} {'frames/s':>9} {'on two threads':>14}")
     for name, (some_rig, parts, laser_on) in cases.items():
         _png(some_rig, parts, laser_on, 0)  # the viewing rays are worked out once
-        cpu, wall = time.process_time(), time.perf_counter()
-        for seed in range(FRAMES):
+        wall, each = time.perf_counter(), []
+        for seed in range(frames):
+            began = time.process_time()
             _png(some_rig, parts, laser_on, seed)
-        cpu, wall = (time.process_time() - cpu) / FRAMES, (time.perf_counter() - wall) / FRAMES
+            each.append(time.process_time() - began)
+        seconds[name] = tuple(each)
+        cpu, wall = sum(each) / frames, (time.perf_counter() - wall) / frames
         start = time.perf_counter()
         with ThreadPoolExecutor(2) as pool:
-            list(pool.map(lambda seed, case=(some_rig, parts, laser_on): _png(*case, seed), range(2 * FRAMES)))
-        both = (time.perf_counter() - start) / (2 * FRAMES)
+            list(pool.map(lambda seed, case=(some_rig, parts, laser_on): _png(*case, seed), range(2 * frames)))
+        both = (time.perf_counter() - start) / (2 * frames)
         print(f"{name:26} {cpu:13.3f} {1 / wall:9.2f} {1 / both:14.2f}")
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     load = os.getloadavg()[0]
     print(f"largest memory {peak_mb:.0f} MB; load of the machine meanwhile {load:.1f}")
+    return seconds
+
+
+def main() -> None:
+    """The table for the size on the command line, and the machine."""
+    width, height = (int(n) for n in (sys.argv[1] if len(sys.argv) > 1 else "1280x960").split("x"))
+    measure((width, height))
     print(", ".join([machine(), *(f"{name} {version}" for name, version in versions().items())]))
 
 
