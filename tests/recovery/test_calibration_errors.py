@@ -12,7 +12,7 @@ from rotaline.geometry.primitives import Line, Plane
 from rotaline.io.session_file import MeasurementRequest
 from rotaline.metrology.features import MeasureOptions
 from rotaline.pipeline.parts import measure_request
-from rotaline.scanning.triangulation import scan_cloud
+from rotaline.scanning.triangulation import scan_points
 from rotaline.simulation.ideal.observed_scan import trace_scan
 from rotaline.simulation.imaging.raycast import Placed
 from rotaline.simulation.plan import mount, table_disc
@@ -71,7 +71,7 @@ def test_a_wrong_calibration_changes_a_diameter_as_predicted(feature):
     request = MeasurementRequest(capture="scan", feature=feature, nominal={"diameter": diameter})
 
     def measure(system):
-        return measure_request(request, scan_cloud(stripes, scan.angles_rad, system), MeasureOptions(), system)
+        return measure_request(request, scan_points(stripes, scan.angles_rad, system), MeasureOptions(), system)
 
     true = _true_system()
     plain = measure(replace(true, covariance=None)).measurement

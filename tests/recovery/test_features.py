@@ -16,7 +16,7 @@ from rotaline.metrology.rounds import cylinder_measurement, sphere_measurement
 from rotaline.metrology.scene import Scene, build_scene
 from rotaline.metrology.surface_fit import Surface, SurfaceFit, fit_surface, signed_distance
 from rotaline.scanning.cloud import PointCloud
-from rotaline.scanning.triangulation import scan_cloud
+from rotaline.scanning.triangulation import scan_points
 from rotaline.simulation.ideal.clouds import (
     Ball,
     ScannedPoints,
@@ -136,8 +136,8 @@ class Realisations:
     def of(feature: str) -> "Realisations":
         scan = trace_scan(RIG, [SCANNED[feature]], full_turn(36), spacing_px=4.0)
         clean = scan.observed(0.0, 0)
-        cloud = scan_cloud(clean, scan.angles_rad, SYSTEM)
-        shifted = scan_cloud([replace(s, uv=s.uv + 0.05 * s.normal) for s in clean], scan.angles_rad, SYSTEM)
+        cloud = scan_points(clean, scan.angles_rad, SYSTEM)
+        shifted = scan_points([replace(s, uv=s.uv + 0.05 * s.normal) for s in clean], scan.angles_rad, SYSTEM)
         return Realisations(scan, cloud, (shifted.points_table - cloud.points_table) / 0.05)
 
     def points(self, seed: int, noise: dict[str, float]) -> np.ndarray:

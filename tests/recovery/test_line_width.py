@@ -10,7 +10,7 @@ from rotaline.calibration.model import SystemCalibration
 from rotaline.io.session_file import MeasurementRequest
 from rotaline.metrology.features import MeasureOptions
 from rotaline.pipeline.parts import measure_request
-from rotaline.scanning.triangulation import scan_cloud
+from rotaline.scanning.triangulation import scan_points
 from rotaline.simulation.imaging.raycast import Placed
 from rotaline.simulation.imaging.render import render_frame
 from rotaline.simulation.plan import mount, table_disc
@@ -39,7 +39,7 @@ def test_the_width_of_the_line_takes_nothing_off_a_diameter(feature, part, pose,
     system = SystemCalibration(
         rig.camera, plane, axis, rig.turn_sense, True, line_sigma_mm=sigma_mm, stripe_blur_px=blur_px
     )
-    cloud = scan_cloud(stripes, np.radians(ANGLES_DEG), system)
+    cloud = scan_points(stripes, np.radians(ANGLES_DEG), system)
     request = MeasurementRequest(capture="scan", feature=feature, nominal={"diameter": part.diameter})
     found = measure_request(request, cloud, MeasureOptions(), system).measurement
     added = found.line_width_correction["diameter"]

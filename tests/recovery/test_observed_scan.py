@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from rotaline.calibration.model import SystemCalibration, TableMotion
-from rotaline.scanning.triangulation import scan_cloud
+from rotaline.scanning.triangulation import scan_points
 from rotaline.simulation.ideal.observed_scan import trace_scan
 from rotaline.simulation.ideal.stripe_trace import trace_stripe
 from rotaline.simulation.imaging.raycast import Placed
@@ -33,7 +33,7 @@ def _true_system(rig):
 def _cloud(rig, scan, stripes, motion=None):
     """Points in the rig's own table frame: the x of a calibrated base points elsewhere."""
     system = replace(_true_system(rig), table_motion=motion)
-    cloud = scan_cloud(stripes, scan.angles_rad, system)
+    cloud = scan_points(stripes, scan.angles_rad, system)
     assert len(cloud) == len(scan.uv)
     rig_from_system = (system.base_from_camera * rig.camera_from_base).inv()
     return rig_from_system.apply(cloud.points_table), cloud

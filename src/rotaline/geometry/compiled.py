@@ -49,6 +49,11 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
     numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
 
 
+def machine_code_stored(module: str) -> bool:
+    """Whether kernels of a module (``find_kernels``) were compiled before; if not, the first call takes a while."""
+    return any(Path(numba.config.CACHE_DIR).rglob(f"{module}.*.nbc"))  # type: ignore[attr-defined]
+
+
 def compiled(function: F) -> F:
     """Compile a kernel for the types of its arguments when it is called with them.
 

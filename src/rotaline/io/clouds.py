@@ -3,18 +3,13 @@
 import re
 from contextlib import ExitStack
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 
-from rotaline.calibration.model import SystemCalibration
 from rotaline.errors import SessionError
 from rotaline.io.files import output_error, whole_file
 from rotaline.scanning.cloud import PointCloud
-from rotaline.scanning.runs import runs_of_equal
-from rotaline.scanning.table_pose import poses_table_from_camera
 
 _FIELDS = (
     ("x", "f4"),
@@ -120,62 +115,6 @@ def _records(cloud: PointCloud, piece: slice) -> np.ndarray:
     return records
 
 
-def read_cloud(path: Path, system: SystemCalibration, max_points: int | None = None) -> PointCloud:
-    """A cloud that this program wrote, to the precision of the file (32 bit floats); read in pieces.
-
-    Parameters
-    ----------
-    path : a ``.ply`` of :func:`write_cloud` or :class:`CloudWriter`
-    system : SystemCalibration   the one that the cloud was made with: it says where the camera stood at each angle
-    max_points : of more points, so many are taken, evenly in the order of the file
-
-    Raises
-    ------
-    SessionError
-        If the file is missing, cut off, or was not written by this program.
-    """
-    try:
-        with path.open("rb") as stream:
-            return _read_records(stream, system, max_points)
-    except (OSError, ValueError) as error:
-        raise SessionError(
-            f"{path}: this is no point cloud that rotaline wrote ({error}). Scan the capture again."
-        ) from error
-
-
-def _read_records(stream: BinaryIO, system: SystemCalibration, max_points: int | None) -> PointCloud:
-    head = stream.read(len(_header(0)))
-    found = re.search(rb"element vertex (\d+)\n", head)
-    n = int(found[1]) if found else 0
-    if head != _header(n):
-        raise ValueError("its header is another one")
-    stream.seek(0, 2)
-    if stream.tell() != len(head) + n * _RECORD.itemsize:
-        raise ValueError(f"its header announces {n} points, the file is cut off or has more")
-    kept = n if max_points is None else min(n, max_points)
-    taken = np.arange(kept) * n // max(kept, 1)
-    records = np.empty(kept, dtype=_RECORD)
-    stream.seek(len(head))
-    for start in range(0, n, _PIECE):
-        piece = np.frombuffer(stream.read(_PIECE * _RECORD.itemsize), dtype=_RECORD)
-        first, last = np.searchsorted(taken, (start, start + len(piece)))
-        records[first:last] = piece[taken[first:last] - start]
-    angle_rad = np.radians(records["angle_deg"].astype(float))
-    viewpoints_table = np.empty((kept, 3))
-    for here, runs in runs_of_equal(angle_rad):
-        eyes_table = poses_table_from_camera(runs.turned_rad, system)[:, :, 3]
-        viewpoints_table[here] = np.repeat(eyes_table, np.diff(runs.starts), axis=0)
-    return PointCloud(
-        np.column_stack([records[name].astype(float) for name in "xyz"]),
-        viewpoints_table,
-        records["intensity"].astype(float),
-        angle_rad,
-        records["frame"].astype(int),
-        records["u_noise"].astype(float),
-        records["u_calibration"].astype(float),
-    )
-
-
 def read_points(path: Path) -> Float[np.ndarray, "n 3"]:
     """The points of a cloud or the vertices of a mesh that any program wrote: PLY, OBJ, STL, XYZ.
 
@@ -196,6 +135,8 @@ def read_points(path: Path) -> Float[np.ndarray, "n 3"]:
                 path, usecols=(0, 1, 2), delimiter="," if path.suffix.lower() == ".csv" else None, ndmin=2
             )
         else:
+            import trimesh
+
             geometry = trimesh.load(path, process=False)
             if isinstance(geometry, trimesh.Scene):
                 geometry = geometry.to_geometry()
@@ -226,6 +167,8 @@ def _declared_vertices(path: Path) -> int | None:
 
 def write_mesh(path: Path, vertices_table: Float[np.ndarray, "v 3"], triangles: Int[np.ndarray, "t 3"]) -> None:
     """Write a mesh as binary PLY or STL, by the suffix of ``path``; mm, table frame."""
+    import trimesh
+
     mesh = trimesh.Trimesh(vertices_table, triangles, process=False)
     with whole_file(path) as temporary:
         mesh.export(temporary)

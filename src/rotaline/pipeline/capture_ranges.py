@@ -10,6 +10,7 @@ from jaxtyping import Int
 
 from rotaline.calibration.model import SystemCalibration
 from rotaline.errors import SessionError, WorkError
+from rotaline.geometry.compiled import machine_code_stored
 from rotaline.io.session import Capture
 from rotaline.pipeline.frames import CaptureStripes, join_stripes
 from rotaline.pipeline.observer import LOG, Observer
@@ -71,6 +72,8 @@ class CaptureRanges:
         self._observer.stage(title, stored=not missing)
         if missing and done:
             self._observer.note(f"{done} of {len(self._spans)} ranges of frames are there from before")
+        if missing and not machine_code_stored("find_kernels"):
+            self._observer.note("compiling for this processor first: half a minute or more, this one time")
         begin = last_result = time.perf_counter()
         earlier = 0.0
         fresh = self._store.workers.run(process_range, (self._task(s, system) for s in self._spans if s in missing))

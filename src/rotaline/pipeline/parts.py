@@ -24,14 +24,14 @@ from rotaline.pipeline.options import ScanOptions
 from rotaline.scanning.cloud import PointCloud
 from rotaline.scanning.propagation import combination_uncertainty
 from rotaline.scanning.table import find_table_height
-from rotaline.scanning.triangulation import scan_cloud
+from rotaline.scanning.triangulation import scan_points
 
 MAX_RELATIVE_ERROR = 0.02
 
 
 def make_cloud(stripes: CaptureStripes, system: SystemCalibration, options: ScanOptions) -> PointCloud:
     """The cloud of a capture in the table frame."""
-    cloud = scan_cloud(stripes.stripes(), stripes.angles_rad, system)
+    cloud = scan_points(stripes.stripes(), stripes.angles_rad, system)
     return cloud if options.max_u_mm is None else cloud.select(cloud.u_mm <= options.max_u_mm)
 
 

@@ -15,7 +15,7 @@ from rotaline.io.truth_file import Truth
 from rotaline.metrology.features import MeasureOptions
 from rotaline.pipeline.parts import artifact_sizes, measure_request, place_on_table, system_at_optical_axis
 from rotaline.pipeline.twin import ScanObservation
-from rotaline.scanning.triangulation import scan_cloud
+from rotaline.scanning.triangulation import scan_points
 from rotaline.simulation.plan import SessionPlan
 from rotaline.simulation.rig import Rig
 
@@ -138,9 +138,9 @@ def measure_scans(
     captures = {name: (scan.stripes, scan.angles_rad) for name, scan in scans.items() if name in wanted}
     # traced stripes are images of the middle of the sheet: neither the width of the line nor the blur has shifted them
     exact = replace(system_at_optical_axis(system), covariance=None, line_sigma_mm=0.0, stripe_blur_px=0.0)
-    placed = place_on_table(exact, [scan_cloud(*capture, exact) for capture in captures.values()])
+    placed = place_on_table(exact, [scan_points(*capture, exact) for capture in captures.values()])
     final = replace(placed, covariance=system.covariance)
-    clouds = {name: scan_cloud(*capture, final) for name, capture in captures.items()}
+    clouds = {name: scan_points(*capture, final) for name, capture in captures.items()}
     return tuple(measure_request(r, clouds.get(r.capture), options, final) for r in requests)
 
 

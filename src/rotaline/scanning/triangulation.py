@@ -94,13 +94,6 @@ def scan_points(
     return PointCloud(**{name: column[:n] for name, column in columns.items()})
 
 
-def scan_cloud(
-    stripes: Sequence[StripePoints], angles_rad: Float[np.ndarray, " f"], calibration: SystemCalibration
-) -> PointCloud:
-    """One cloud in the table frame from the stripes of all frames of a capture: :func:`scan_points` from the first on."""
-    return scan_points(stripes, angles_rad, calibration)
-
-
 def _scan_by_blocks(
     stripes: Sequence[StripePoints],
     turned_rad: Float[np.ndarray, " f"],

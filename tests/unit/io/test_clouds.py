@@ -1,16 +1,10 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
 
-from rotaline.calibration.model import SystemCalibration, TableMotion
 from rotaline.errors import OutputError, SessionError
-from rotaline.geometry.primitives import Line, Plane, unit
-from rotaline.io.clouds import CloudWriter, read_cloud, read_points, write_cloud, write_mesh
+from rotaline.io.clouds import CloudWriter, read_points, write_cloud, write_mesh
 from rotaline.scanning.cloud import PointCloud
-from rotaline.scanning.table_pose import table_from_base
-from rotaline.vision.camera import CameraModel
 
 RNG = np.random.default_rng(5)
 
@@ -93,38 +87,3 @@ def test_a_cloud_that_cannot_be_written_says_so(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="file"), CloudWriter(tmp_path / "file" / "c.ply"):
         pass
-
-
-AXIS = Line(np.array([2.0, 20.0, 290.0]), unit(np.array([0.02, -0.8, -0.6])))
-CAMERA = CameraModel((1280, 960), 2400.0, 2400.0, 640.0, 480.0)
-MOTION = TableMotion((0.02, -0.03), (2e-4, 3e-4), AXIS.point)
-SYSTEM = SystemCalibration(CAMERA, Plane(np.array([1.0, 0.0, 0.0]), -2.0), AXIS, 1, True, table_motion=MOTION)
-
-
-def test_a_cloud_of_this_program_comes_back_with_its_viewpoints(tmp_path):
-    cloud = replace(_cloud(100_000), angle_rad=np.repeat(np.linspace(0, 6, 100), 1000))
-    write_cloud(tmp_path / "c.ply", cloud)
-    back = read_cloud(tmp_path / "c.ply", SYSTEM)
-    for name in ("points_table", "intensity", "angle_rad", "u_mm", "u_calibration_mm"):
-        assert np.allclose(getattr(back, name), getattr(cloud, name), rtol=1e-6, atol=0.0)
-    assert (back.frame == cloud.frame).all()
-    eye_base = SYSTEM.base_from_camera.apply(np.zeros((1, 3)))
-    for k in (0, 17, 99_999):
-        assert back.viewpoints_table[k] == pytest.approx(
-            table_from_base(eye_base, cloud.angle_rad[k], SYSTEM)[0], abs=1e-3
-        )
-    some = read_cloud(tmp_path / "c.ply", SYSTEM, max_points=30_000)
-    assert (some.frame == np.arange(30_000) * 100_000 // 30_000).all()
-    assert (some.points_table == back.points_table[some.frame]).all()
-    assert (read_cloud(tmp_path / "c.ply", SYSTEM, max_points=200_000).points_table == back.points_table).all()
-    write_cloud(tmp_path / "empty.ply", _cloud(0))
-    assert len(read_cloud(tmp_path / "empty.ply", SYSTEM)) == 0
-
-
-@pytest.mark.parametrize("name", ["none.ply", "cut.ply", "other.ply"])
-def test_a_cloud_that_is_not_whole_or_of_another_program_is_refused(tmp_path, name):
-    write_cloud(tmp_path / "c.ply", _cloud(50))
-    (tmp_path / "cut.ply").write_bytes((tmp_path / "c.ply").read_bytes()[:-10])
-    trimesh.PointCloud(RNG.normal(size=(50, 3))).export(tmp_path / "other.ply")
-    with pytest.raises(SessionError, match=name):
-        read_cloud(tmp_path / name, SYSTEM)

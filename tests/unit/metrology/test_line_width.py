@@ -15,7 +15,7 @@ from rotaline.metrology.features import MeasureOptions
 from rotaline.metrology.line_width import moves_back
 from rotaline.pipeline.parts import measure_request
 from rotaline.scanning.table_pose import directions_base_from_table, table_from_base
-from rotaline.scanning.triangulation import scan_cloud
+from rotaline.scanning.triangulation import scan_points
 from rotaline.simulation.ideal.observed_scan import trace_scan
 from rotaline.simulation.imaging.raycast import Placed
 from rotaline.simulation.parts.shapes import SteppedRod
@@ -141,7 +141,7 @@ def _measured(part, feature, nominal, system):
     angles = tuple(15.0 * i for i in range(24))
     scan = trace_scan(RIG, [Placed(part, mount(2.0, -1.0)), table_disc(RIG)], angles, spacing_px=3.0)
     request = MeasurementRequest(capture="scan", feature=feature, nominal=nominal)
-    cloud = scan_cloud(scan.observed(0.02, 1), scan.angles_rad, system)
+    cloud = scan_points(scan.observed(0.02, 1), scan.angles_rad, system)
     return measure_request(request, cloud, MeasureOptions(), system).measurement
 
 

@@ -19,7 +19,7 @@ from rotaline.pipeline.options import Options, ScanOptions
 from rotaline.pipeline.ranges import FRAMES_A_RANGE, RangeTask, backgrounds_of, process_range, program, spans
 from rotaline.pipeline.scan import Clouds, ScannedCapture, scan_capture
 from rotaline.pipeline.store import StageStore
-from rotaline.scanning.triangulation import scan_cloud
+from rotaline.scanning.triangulation import scan_points
 from rotaline.simulation.rig import build_rig
 from rotaline.simulation.session import write_session
 from rotaline.simulation.small_session import small_plan
@@ -100,7 +100,7 @@ def _ranges(session, tmp_path, **scan):
 
 def test_a_cloud_from_ranges_is_the_cloud_of_all_frames(session, tmp_path, small_ranges):
     ranges = _ranges(session, tmp_path)
-    whole = scan_cloud(ranges.joined.stripes(), ranges.joined.angles_rad, SYSTEM)
+    whole = scan_points(ranges.joined.stripes(), ranges.joined.angles_rad, SYSTEM)
     cloud = ranges.cloud(SYSTEM)
     assert len(list((tmp_path / "stages").glob("*/*.npz"))) == 4
     assert ranges.thinning() == 1

@@ -9,7 +9,7 @@ from rotaline.errors import GeometryError
 from rotaline.geometry.fitting import across
 from rotaline.geometry.primitives import Line, Plane, SheetCurvature, unit
 from rotaline.scanning.propagation import calibration_uncertainty, combination_uncertainty, point_sensitivities
-from rotaline.scanning.triangulation import scan_cloud, triangulate
+from rotaline.scanning.triangulation import scan_points, triangulate
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.stripe.model import StripePoints
 
@@ -105,7 +105,7 @@ def _scan_of_changed(system, name, step):
     axis = changed.rotation_axis_camera
     rise = height(changed) - height(system)
     placed = replace(changed, rotation_axis_camera=Line(axis.point + rise * axis.direction, axis.direction))
-    return scan_cloud(_stripes(), READ_RAD, placed).points_table
+    return scan_points(_stripes(), READ_RAD, placed).points_table
 
 
 @pytest.mark.parametrize("motion", [None, MOTION], ids=["steady axis", "moving axis"])
@@ -114,7 +114,7 @@ def _scan_of_changed(system, name, step):
 @pytest.mark.parametrize("sense", [1, -1])
 def test_every_derivative_is_that_of_the_whole_scan(sense, curved, angle_error, motion):
     system = _system(sense, curved, angle_error, motion=motion)
-    cloud = scan_cloud(_stripes(), READ_RAD, system)
+    cloud = scan_points(_stripes(), READ_RAD, system)
     jacobian = point_sensitivities(cloud.points_table, cloud.angle_rad, system)
     for k, name in enumerate(system.covariance.names):
         step = _steps(True, True)[name]
@@ -133,7 +133,7 @@ def test_the_scatter_of_scans_with_calibrations_drawn_from_the_covariance_is_the
     steps = np.array(list(_steps(curved, MOTION).values()))
     mixing = steps[:, None] * rng.normal(size=(len(steps), len(steps)))
     system = _system(-1, curved, ANGLE_ERROR, mixing @ mixing.T, MOTION)
-    cloud = scan_cloud(_stripes(), READ_RAD, system)
+    cloud = scan_points(_stripes(), READ_RAD, system)
     u = calibration_uncertainty(cloud.points_table, cloud.angle_rad, system)
     assert cloud.u_calibration_mm == pytest.approx(u, rel=1e-12)
     jacobian = point_sensitivities(cloud.points_table, cloud.angle_rad, system)
@@ -162,7 +162,7 @@ def test_compiled_uncertainties_are_those_of_the_derivatives(curved, camera, mot
     )
     system = replace(_system(-1, curved, ANGLE_ERROR, motion=motion), camera=camera)
     system = replace(system, covariance=replace(system.covariance, names=names, matrix=mixing @ mixing.T))
-    cloud = scan_cloud(_stripes(), READ_RAD, system)
+    cloud = scan_points(_stripes(), READ_RAD, system)
     own_angles = rng.uniform(0, 7, len(cloud))
     weights = rng.normal(size=(2, len(cloud), 3))
     for angle_rad in (cloud.angle_rad, own_angles):
@@ -179,7 +179,7 @@ def test_compiled_uncertainties_are_those_of_the_derivatives(curved, camera, mot
 
 def test_many_points_are_the_same_as_few():
     system = _system()
-    cloud = scan_cloud(_stripes(), READ_RAD, system)
+    cloud = scan_points(_stripes(), READ_RAD, system)
     points, angles = np.tile(cloud.points_table, (100, 1)), np.tile(cloud.angle_rad, 100)
     many = calibration_uncertainty(points, angles, system)
     assert many == pytest.approx(np.tile(cloud.u_calibration_mm, 100), rel=1e-12)
@@ -213,7 +213,7 @@ def test_a_wrong_principal_point_that_turned_all_that_was_calibrated_moves_no_po
 
 def test_without_a_covariance_nothing_is_known():
     system = replace(_system(), covariance=None)
-    cloud = scan_cloud(_stripes(), READ_RAD, system)
+    cloud = scan_points(_stripes(), READ_RAD, system)
     assert np.isnan(cloud.u_calibration_mm).all()
     assert np.isnan(
         combination_uncertainty(np.ones((2, len(cloud), 3)), cloud.points_table, cloud.angle_rad, system)

@@ -11,7 +11,7 @@ from rotaline.geometry.primitives import Line, Plane, SheetCurvature, unit
 from rotaline.geometry.transforms import rotate_about_line
 from rotaline.scanning.cloud import read_angles_rad
 from rotaline.scanning.table_pose import table_from_base
-from rotaline.scanning.triangulation import move_to_axis, scan_cloud, scan_points, triangulate
+from rotaline.scanning.triangulation import move_to_axis, scan_points, triangulate
 from rotaline.vision.camera import CameraModel
 from rotaline.vision.stripe.model import StripePoints
 
@@ -55,7 +55,7 @@ def test_a_point_fixed_to_the_table_comes_back_to_one_place(sense):
     # the point of the table that the laser meets at each angle is another one: put it there by turning it the other way
     fixed = [rotate_about_line(start, AXIS, -sense * a) for a in angles]
     _, uv = _seen(start)
-    cloud = scan_cloud([_stripe(uv)] * 3, angles, _system(sense))
+    cloud = scan_points([_stripe(uv)] * 3, angles, _system(sense))
     base_from_camera = _system(sense).base_from_camera
     for k in range(3):
         assert cloud.points_table[k] == pytest.approx(base_from_camera.apply(fixed[k])[0], abs=1e-8)
@@ -70,16 +70,16 @@ def test_the_stated_uncertainty_is_the_scatter_of_repeats():
     noisy = uv + np.outer(rng.normal(0, sigma, 2000), [1.0, 0.0])
     points = triangulate(noisy, CAMERA, PLANE)
     scatter = np.sqrt(np.sum(np.var(points, axis=0)))
-    cloud = scan_cloud([_stripe(uv, sigma)], np.zeros(1), _system(1))
+    cloud = scan_points([_stripe(uv, sigma)], np.zeros(1), _system(1))
     assert cloud.u_mm[0] == pytest.approx(scatter, rel=4 / np.sqrt(2 * 2000))
 
 
 def test_empty_frames_keep_their_number():
     _, uv = _seen(AXIS.point + np.array([[5.0, 5.0, -5.0]]))
     nothing = _stripe(np.empty((0, 2)))
-    cloud = scan_cloud([nothing, _stripe(uv), nothing], np.zeros(3), _system(1))
+    cloud = scan_points([nothing, _stripe(uv), nothing], np.zeros(3), _system(1))
     assert list(cloud.frame) == [1]
-    assert len(scan_cloud([nothing], np.zeros(1), _system(1))) == 0
+    assert len(scan_points([nothing], np.zeros(1), _system(1))) == 0
 
 
 @pytest.mark.parametrize("sense", [1, -1])
@@ -89,8 +89,8 @@ def test_an_error_of_the_read_out_is_taken_off_before_the_sense(sense):
     read = np.radians([20.0, 130.0, 250.0])
     turned = read + 2e-3 * np.cos(read) - 1e-3 * np.sin(read)
     stripes = [_stripe(uv)] * 3
-    cloud = scan_cloud(stripes, read, replace(_system(sense), angle_error=error))
-    assert cloud.points_table == pytest.approx(scan_cloud(stripes, turned, _system(sense)).points_table, abs=1e-12)
+    cloud = scan_points(stripes, read, replace(_system(sense), angle_error=error))
+    assert cloud.points_table == pytest.approx(scan_points(stripes, turned, _system(sense)).points_table, abs=1e-12)
     assert cloud.angle_rad == pytest.approx(sense * turned, abs=1e-15)
     assert read_angles_rad(cloud.angle_rad, sense, error) == pytest.approx(read, abs=1e-14)
 
@@ -99,7 +99,7 @@ def test_a_curved_sheet_gives_other_points_and_their_uncertainty():
     _, uv = _seen(AXIS.point + np.random.default_rng(6).normal(0, 8, (20, 3)))
     curvature = SheetCurvature(AXIS.point, (2e-4, 1e-4, -1e-4))
     system = replace(_system(1), laser_curvature=curvature)
-    cloud = scan_cloud([_stripe(uv)], np.zeros(1), system)
+    cloud = scan_points([_stripe(uv)], np.zeros(1), system)
     points = system.base_from_camera.inv().apply(cloud.points_table)
     assert CAMERA.project(points) == pytest.approx(uv, abs=1e-7)
     off_plane = PLANE.signed_distance_to(points)
@@ -133,8 +133,8 @@ def test_moving_a_cloud_to_another_axis_is_scanning_with_that_axis(old_error, ne
         table_motion=new_motion,
     )
     old = replace(_system(1), angle_error=old_error, table_motion=old_motion)
-    direct = scan_cloud(stripes, angles, other)
-    moved = move_to_axis(scan_cloud(stripes, angles, old), old, other)
+    direct = scan_points(stripes, angles, other)
+    moved = move_to_axis(scan_points(stripes, angles, old), old, other)
     assert moved.points_table == pytest.approx(direct.points_table, abs=1e-9)
     assert moved.viewpoints_table == pytest.approx(direct.viewpoints_table, abs=1e-9)
     assert moved.angle_rad == pytest.approx(direct.angle_rad)
@@ -210,7 +210,7 @@ def test_ranges_of_frames_make_the_same_cloud_to_the_last_bit(length):
     stripes, angles = _frames(90, seed=3)
     system = _with_covariance(replace(_system(1), camera=WIDE, laser_curvature=BOW, table_motion=MOTION))
     other = replace(system, rotation_axis_camera=Line(AXIS.point + 0.3, AXIS.direction), turn_sense=-1)
-    whole = scan_cloud(stripes, angles, system)
+    whole = scan_points(stripes, angles, system)
     parts = [
         scan_points(stripes[k : k + length], angles[k : k + length], system, first_frame=k)
         for k in range(0, len(stripes), length)

@@ -24,7 +24,7 @@ from rotaline.metrology.features import MeasureOptions
 from rotaline.pipeline.options import Options
 from rotaline.pipeline.parts import artifact_sizes, measure_request, system_at_optical_axis
 from rotaline.pipeline.reproduce.article import STEPPED_CYLINDER
-from rotaline.scanning.triangulation import scan_cloud
+from rotaline.scanning.triangulation import scan_points
 from rotaline.simulation.ideal.observed_scan import IdealScan, trace_scan
 from rotaline.simulation.ideal.stripe_trace import trace_stripe
 from rotaline.simulation.imaging.raycast import Placed
@@ -177,7 +177,7 @@ def resulting_figures(
         sizes: dict[str, float],
     ) -> dict[str, float]:
         system = SystemCalibration(known.camera, known.laser_plane_camera, axis, known.turn_sense, table_seen=False)
-        cloud = scan_cloud(stripes, angles_rad, system_at_optical_axis(system))
+        cloud = scan_points(stripes, angles_rad, system_at_optical_axis(system))
         request = MeasurementRequest(capture="scan", feature=feature, reference=sizes, nominal=sizes)  # type: ignore[arg-type]
         return measure_request(request, cloud, MeasureOptions()).error
 
