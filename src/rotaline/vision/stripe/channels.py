@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8, UInt16
 
 from rotaline.vision.images import Image
-from rotaline.vision.stripe.plane import Plane
+from rotaline.vision.stripe.plane import Plane, clip_limit
 from rotaline.vision.stripe.signal import (
     CHANNELS,
     CORE_PX,
@@ -22,17 +22,17 @@ from rotaline.vision.stripe.signal import (
     MATCH_BELOW,
     MATCH_PASSES,
     MOST_GAIN,
+    NEAR_WHITE_PX,
     WHITE,
     check_background,
     is_lit,
     match_step,
 )
-from rotaline.vision.stripe.signal_kernels import WHITE_TILE, fit_line, heights, score, subtract, take_pairs
+from rotaline.vision.stripe.signal_kernels import fit_line, heights, score, subtract, take_pairs
 
 STEPS = 32  # of a searched image, for one grey value of an 8 bit image
-_ZERO = 32768
-_CORE_MARGIN_PX = 2 * WHITE_TILE  # what lies so far from a saturated core does not change what it is filled with
-_NEAR_WHITE_PX = 4
+ZERO = 32768  # of a searched image
+_CORE_MARGIN_PX = 48  # what lies so far from a saturated core does not change what it is filled with
 _SPARSE = 3  # of so many points of a stripe one tells in which channel it is best seen
 
 
@@ -92,12 +92,13 @@ def _match(
     h, w = image.shape[0], image.shape[1] // n
     step = match_step(h * w)
     x, y = np.empty((2, -(-h // step) * -(-w // step) + 1), dtype=np.float32)
-    found = take_pairs(image, background, k, n, step, MATCH_BELOW * top, x, y)
-    if found < LEAST_PIXELS:
+    times = np.empty(len(x), dtype=np.int32)
+    found = take_pairs(image, background, k, n, step, MATCH_BELOW * top, x, y, times)
+    if times[:found].sum() < LEAST_PIXELS:
         return 1.0, 0.0
     unit = top / 255.0
     gain, offset = fit_line(
-        x[:found], y[:found], unit, MATCH_PASSES, LEAST_PIXELS, LEAST_SPREAD * unit, LIT * unit
+        x[:found], y[:found], times[:found], unit, MATCH_PASSES, LEAST_PIXELS, LEAST_SPREAD * unit, LIT * unit
     )
     return (gain, offset) if 1.0 / MOST_GAIN < gain < MOST_GAIN else (1.0, 0.0)
 
@@ -110,16 +111,16 @@ def _rows(image: Image) -> Shaped[np.ndarray, "h values"]:
 
 
 class _Space(threading.local):
-    """Work space of one thread: the image that is searched."""
+    """Work space of one thread, for images of one size: the image that is searched, and where the frame is white."""
 
     def __init__(self) -> None:
-        self._values = np.zeros((0, 0), dtype=np.uint16)
+        self.values, self.white = np.zeros((0, 0), dtype=np.uint16), np.zeros((0, 0), dtype=np.uint8)
 
-    def image(self, shape: tuple[int, int]) -> UInt16[np.ndarray, "h w"]:
-        """An image with any values."""
-        if self._values.shape != shape:
-            self._values = np.empty(shape, dtype=np.uint16)
-        return self._values
+    def fit(self, shape: tuple[int, ...]) -> tuple[UInt16[np.ndarray, "h w"], UInt8[np.ndarray, "h w"]]:
+        """Both, with any values."""
+        if self.values.shape != shape:
+            self.values, self.white = np.empty(shape, dtype=np.uint16), np.empty(shape, dtype=np.uint8)
+        return self.values, self.white
 
 
 _space = _Space()
@@ -131,53 +132,34 @@ def score_image(channels: Channels, name: str) -> UInt16[np.ndarray, "h w"]:
 
     The next call in the same thread overwrites it.
     """
-    image, background, subtracted = channels.rows()
     weights = np.full(3, 1.0 / 3.0) if name == "grey" else np.where(np.array(CHANNELS) == name, 1.0, -0.5)
-    h, w = channels.image.shape[:2]
-    out = _space.image((h, w))
-    white = np.zeros((-(-h // WHITE_TILE), -(-w // WHITE_TILE)), dtype=bool)
     weights *= STEPS / channels.unit
-    score(image, background, subtracted, channels.lines, weights, _ZERO, WHITE * channels.top, out, white)
-    if name != "grey" and white.any():
-        _fill_cores(out, channels, white)
-    return out
+    values, white = _space.fit(channels.image.shape[:2])
+    if score(*channels.rows(), channels.lines, weights, ZERO, WHITE * channels.top, values, white) and name != "grey":
+        _fill_core(values, white)
+    return values
 
 
-def _fill_cores(values: UInt16[np.ndarray, "h w"], channels: Channels, white: Bool[np.ndarray, "rows columns"]) -> None:
+def _fill_core(values: UInt16[np.ndarray, "h w"], white: UInt8[np.ndarray, "h w"]) -> None:
     """Close the valleys in the score where all channels are near the top: the core of a stripe may have lost its colour.
 
-    Done in boxes around connected tiles with white pixels, each with what lies near them; all from the values as they were.
+    Only the box around the white pixels is looked at.
     """
-    count, _, boxes, _ = cv2.connectedComponentsWithStats(white.astype(np.uint8))
-    h, w = values.shape
-    filled = []
-    for left, top, width, height, _ in (boxes[k] for k in range(1, count)):
-        rows = _span(top, height, h)
-        columns = _span(left, width, w)
-        filled.append((rows, columns, _filled(values[rows, columns], channels.image[rows, columns], channels.top)))
-    for rows, columns, (near, closed) in filled:
-        np.copyto(values[rows, columns], closed, where=near)
+    left, top, width, height = cv2.boundingRect(white)
+    box = _span(top, height, values.shape[0]), _span(left, width, values.shape[1])
+    part = values[box]
+    small = cv2.resize(part, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, np.ones((CORE_PX // 2 | 1,) * 2, np.uint8))
+    closed = cv2.resize(closed, part.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    near = cv2.dilate(white[box], np.ones((NEAR_WHITE_PX,) * 2, np.uint8))
+    cv2.copyTo(cv2.max(part, closed), near, part)
 
 
 def _span(first: int, count: int, size: int) -> slice:
-    """Pixels of some tiles and a margin; all of them where their number is odd, so that the half size has the same pixels."""
+    """Some pixels of a row or column, and a margin; all of them where their number is odd, so that the half size has the same pixels."""
     if size % 2:
         return slice(0, size)
-    begin = first * WHITE_TILE - _CORE_MARGIN_PX
-    return slice(max(begin, 0), min(begin + count * WHITE_TILE + 2 * _CORE_MARGIN_PX, size))
-
-
-def _filled(
-    values: UInt16[np.ndarray, "h w"], image: Image, top: int
-) -> tuple[Bool[np.ndarray, "h w"], UInt16[np.ndarray, "h w"]]:
-    """Where there is white near, and the values with valleys closed."""
-    least = float(np.ceil(WHITE * top))
-    white = cv2.inRange(image, (least,) * 3, (float(top),) * 3)
-    near = cv2.dilate(white, np.ones((2 * _NEAR_WHITE_PX + 1,) * 2, np.uint8))
-    small = cv2.resize(values, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, np.ones((CORE_PX // 2 | 1,) * 2, np.uint8))
-    closed = cv2.resize(closed, values.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return near > 0, np.asarray(cv2.max(values, closed))
+    return slice(max((first - _CORE_MARGIN_PX) & ~1, 0), min((first + count + _CORE_MARGIN_PX) & ~1, size))
 
 
 def measuring_channel(
@@ -200,16 +182,10 @@ def measuring_channel(
     height, clipped = np.empty((3, len(some))), np.empty((3, len(some)), dtype=bool)
     own = chain[some]
     heights(
-        image, background, subtracted, channels.lines, float(_limit(channels)), uv[some], steep[own], scale_px[own],
+        image, background, subtracted, channels.lines, float(clip_limit(channels.top)), uv[some], steep[own], scale_px[own],
         height, clipped,
     )  # fmt: skip
     return int(np.argmax(np.median(height, axis=1) * np.maximum(1.0 - clipped.mean(axis=1), 0.1)))
-
-
-def _limit(channels: Channels) -> int:
-    """Least value that counts as clipped."""
-    top = channels.top
-    return top - 2 if top == 255 else int(0.98 * top)
 
 
 def plane_of(channels: Channels, k: int) -> Plane:

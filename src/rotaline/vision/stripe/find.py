@@ -134,9 +134,7 @@ def find(image: Image, background: Image | None, options: StripeOptions) -> tupl
             clear |= chosen.length_px >= 3.0 * options.min_length_px and chosen.usual >= CLEAR * STEPS
     assert best is not None
     found = best.stripe
-    k = measuring_channel(
-        channels, options.channel, found.uv, best.prominence, found.chain, best.steep, found.scale_px
-    )
+    k = measuring_channel(channels, options.channel, found.uv, best.prominence, found.chain, best.steep, found.scale_px)
     return found, plane_of(channels, k)
 
 

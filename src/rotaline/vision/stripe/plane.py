@@ -6,6 +6,11 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8, UInt16
 
 
+def clip_limit(top: int) -> int:
+    """Least value that counts as clipped, of a sensor with this greatest value."""
+    return top - 2 if top == 255 else int(0.98 * top)
+
+
 @dataclass(frozen=True, eq=False)
 class Plane:
     """One channel of a frame.
@@ -34,7 +39,7 @@ class Plane:
     @property
     def limit(self) -> int:
         """Least value that counts as clipped."""
-        return self.top - 2 if self.top == 255 else int(0.98 * self.top)
+        return clip_limit(self.top)
 
     @property
     def unit(self) -> float:

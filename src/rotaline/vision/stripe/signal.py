@@ -17,11 +17,13 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8, UInt16
 
 from rotaline.vision.images import Image
+from rotaline.vision.stripe.plane import clip_limit
 from rotaline.vision.stripe.profiles import sample_profiles
 from rotaline.vision.stripe.ridges import Ridge, find_ridges
 
 CHANNELS = ("red", "green", "blue")
 CORE_PX = 25  # a saturated core up to this wide is filled
+NEAR_WHITE_PX = 9  # so wide the surroundings of a white pixel are
 _MATCH_PIXELS, LEAST_PIXELS, MATCH_PASSES = 40_000, 100, 6
 MATCH_BELOW = 0.97  # of the range
 LEAST_SPREAD, MOST_GAIN = 8.0, 1.4  # standard deviation in grey values of an 8 bit image; ratio
@@ -65,7 +67,7 @@ def split_frame(image: Image, background: Image | None) -> Frame:
     check_background(image, background)
     top = int(np.iinfo(image.dtype).max)
     unit = top / 255.0
-    limit = top - 2 if top == 255 else int(0.98 * top)
+    limit = clip_limit(top)
     sources = [image] if image.ndim == 2 else list(cv2.split(image))
     grounds = (
         [None] * len(sources) if background is None else [background] if image.ndim == 2 else cv2.split(background)
@@ -163,7 +165,7 @@ def _fill_core(frame: Frame, score: np.ndarray) -> np.ndarray:
     """Close the valley in the score where all channels are near the top: the core of a stripe may have lost its colour."""
     if frame.white is None:
         return score
-    near_white = cv2.dilate(frame.white.astype(np.uint8), np.ones((9, 9), np.uint8))
+    near_white = cv2.dilate(frame.white.astype(np.uint8), np.ones((NEAR_WHITE_PX, NEAR_WHITE_PX), np.uint8))
     small = cv2.resize(score, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     kernel = np.ones((CORE_PX // 2 | 1, CORE_PX // 2 | 1), np.uint8)
     closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, kernel)

@@ -6,7 +6,6 @@ import numpy as np
 
 from rotaline.geometry.compiled import compiled
 
-WHITE_TILE = 32  # px
 _BINS = 1024
 _KEYS = -0.5  # of Keys' cubic convolution
 _LEAST_PART = 0.05  # of a pixel in a sample
@@ -24,7 +23,7 @@ def score(
     white_limit: float,
     out: np.ndarray,
     white: np.ndarray,
-) -> None:
+) -> int:
     """A weighted sum of three channels, background subtracted, as whole numbers.
 
     Parameters
@@ -35,20 +34,25 @@ def score(
     zero : float   the number for a sum of 0; numbers end at 0 and 65535
     white_limit : float   pixels as high in all channels are white
     out : (h, w)   uint16
-    white : (rows, columns)   bool, set where a tile has a white pixel
+    white : (h, w)   uint8, for 1 where a pixel is white and 0 elsewhere
+
+    Returns
+    -------
+    int   number of white pixels
     """
     h, w = out.shape
     w0, w1, w2 = np.float32(weights[0]), np.float32(weights[1]), np.float32(weights[2])
     g0, g1, g2 = np.float32(lines[0, 0]), np.float32(lines[1, 0]), np.float32(lines[2, 0])
     o0, o1, o2 = np.float32(lines[0, 1]), np.float32(lines[1, 1]), np.float32(lines[2, 1])
-    half, most = np.float32(zero + 0.5), np.float32(65535.0)
+    half, most, bright = np.float32(zero + 0.5), np.float32(65535.0), np.float32(white_limit)
     sums = np.empty(w, np.float32)
+    n_white = 0
     for i in range(h):
-        row, to = image[i], out[i]
-        n_white = 0
+        row, to, lost = image[i], out[i], white[i]
         for j in range(w):
             a, b, c = row[3 * j], row[3 * j + 1], row[3 * j + 2]
-            n_white += min(a, min(b, c)) >= white_limit
+            lost[j] = np.float32(min(a, min(b, c))) >= bright
+            n_white += lost[j]
             sums[j] = w0 * np.float32(a) + w1 * np.float32(b) + w2 * np.float32(c)
         if subtracted:
             under = background[i]
@@ -59,10 +63,7 @@ def score(
                 sums[j] -= w0 * a + w1 * b + w2 * c
         for j in range(w):
             to[j] = np.uint16(np.int32(min(max(sums[j] + half, np.float32(0.0)), most)))
-        if n_white:
-            for j in range(w):
-                if min(row[3 * j], min(row[3 * j + 1], row[3 * j + 2])) >= white_limit:
-                    white[i // WHITE_TILE, j // WHITE_TILE] = True
+    return n_white
 
 
 @compiled
@@ -87,48 +88,73 @@ def take_pairs(
     limit: float,
     x: np.ndarray,
     y: np.ndarray,
+    times: np.ndarray,
 ) -> int:
-    """Values of every ``step``-th pixel in rows and columns of the background (x) and the image (y), where the background is not 0 and both are
-    below the limit; returns how many. The two are (h, w * n_channels)."""
+    """Values that every ``step``-th pixel in rows and columns has in the background (x) and in the image (y), and how many times; returns how many
+    pairs.
+
+    Left out are pixels that are 0 in the background, and those at the limit or above. Of 8 bit images equal pairs are counted together. The images
+    are (h, w * n_channels), x, y and times long enough for all pixels.
+    """
+    together = image.itemsize == 1
+    count = np.zeros((256, 256) if together else (1, 1), np.int32)
     n = 0
     for i in range(0, image.shape[0], step):
         row, under = image[i], background[i]
         for j in range(channel, len(row), step * n_channels):
             a, b = under[j], row[j]
-            x[n], y[n] = a, b
-            n += (a > 0) & (max(a, b) < limit)
+            usable = (a > 0) & (max(a, b) < limit)
+            if together:
+                count[a, b] += usable
+            else:
+                x[n], y[n], times[n] = a, b, 1
+                n += usable
+    if together:
+        for a in range(256):
+            for b in range(256):
+                if count[a, b]:
+                    x[n], y[n], times[n] = a, b, count[a, b]
+                    n += 1
     return n
 
 
 @compiled
 @no_type_check
 def fit_line(
-    x: np.ndarray, y: np.ndarray, unit: float, passes: int, least: int, least_spread: float, lit: float
+    x: np.ndarray,
+    y: np.ndarray,
+    times: np.ndarray,
+    unit: float,
+    passes: int,
+    least: int,
+    least_spread: float,
+    lit: float,
 ) -> tuple:
     """Gain and offset of y over x, by the definition of :func:`rotaline.vision.stripe.signal.match_exposure`."""
     n = len(x)
-    rest, inner = np.empty(n, np.float32), np.empty(n, np.float32)
+    rest, inner, inner_times = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.int32)
     count = np.empty(_BINS, np.int32)
     for i in range(n):
         rest[i] = y[i] - x[i]
-    gain, offset = 1.0, _middle(rest, inner, count)
+    gain, offset = 1.0, _middle(rest, times, inner, inner_times, count)
     for _ in range(passes):
         for i in range(n):
             rest[i] = abs(y[i] - gain * x[i] - offset)
-        limit = 3.0 * max(1.4826 * _middle(rest, inner, count), unit)
-        m, sx, sy, sxx, sxy = 0, 0.0, 0.0, 0.0, 0.0
+        limit = 3.0 * max(1.4826 * _middle(rest, times, inner, inner_times, count), unit)
+        m, sx, sy, sxx, sxy = 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(n):
-            near = 1.0 if rest[i] <= limit else 0.0
-            a, b = float(x[i]), float(y[i])
-            m += rest[i] <= limit
-            sx += near * a
-            sy += near * b
-            sxx += near * a * a
-            sxy += near * a * b
-        spread = sxx - sx * sx / max(m, 1)
+            t = np.float64(times[i]) if rest[i] <= limit else 0.0
+            a, b = np.float64(x[i]), np.float64(y[i])
+            m += t
+            sx += t * a
+            sy += t * b
+            sxx += t * a * a
+            sxy += t * a * b
+        spread = sxx - sx * sx / max(m, 1.0)
         if m < least or spread < least_spread * least_spread * m:
-            bright = _middle(x, inner, count)
-            return (_middle(y, inner, count) / bright if bright >= lit else 1.0), 0.0
+            bright = _middle(x, times, inner, inner_times, count)
+            dark = bright < lit
+            return (1.0 if dark else _middle(y, times, inner, inner_times, count) / bright), 0.0
         gain = (sxy - sx * sy / m) / spread
         offset = (sy - gain * sx) / m
     return gain, offset
@@ -136,34 +162,48 @@ def fit_line(
 
 @compiled
 @no_type_check
-def _middle(values: np.ndarray, inner: np.ndarray, count: np.ndarray) -> float:
-    """Median: the values are counted in bins, and only those of the bins in the middle are sorted."""
+def _middle(
+    values: np.ndarray, times: np.ndarray, inner: np.ndarray, inner_times: np.ndarray, count: np.ndarray
+) -> float:
+    """Median of values that stand for so many each.
+
+    They are counted in bins; those in the bin with the median again in finer bins, until all in it are equal.
+    """
     n = len(values)
-    low = high = values[0]
+    total = 0
     for i in range(n):
-        low, high = min(low, values[i]), max(high, values[i])
-    if low == high:
-        return float(low)
-    scale = np.float32((_BINS - 1) / (high - low))
-    for b in range(_BINS):
-        count[b] = 0
-    for i in range(n):
-        count[np.int32((values[i] - low) * scale)] += 1
-    first = n_below = 0
-    while n_below + count[first] <= (n - 1) // 2:
-        n_below += count[first]
-        first += 1
-    last, n_to = first, n_below + count[first]
-    while n_to <= n // 2:
-        last += 1
-        n_to += count[last]
-    m = 0
-    for i in range(n):
-        b = np.int32((values[i] - low) * scale)
-        inner[m] = values[i]
-        m += (b >= first) & (b <= last)
-    ordered = np.sort(inner[:m])
-    return 0.5 * (float(ordered[(n - 1) // 2 - n_below]) + float(ordered[n // 2 - n_below]))
+        inner[i], inner_times[i] = values[i], times[i]
+        total += times[i]
+    lower, upper = (total - 1) // 2, total // 2
+    while True:
+        low = high = inner[0]
+        for i in range(n):
+            low, high = min(low, inner[i]), max(high, inner[i])
+        if low == high:
+            return np.float64(low)
+        scale = np.float32((_BINS - 1) / (high - low))
+        for b in range(_BINS):
+            count[b] = 0
+        for i in range(n):
+            count[np.int32((inner[i] - low) * scale)] += inner_times[i]
+        own, before = 0, 0
+        while before + count[own] <= lower:
+            before += count[own]
+            own += 1
+        if before + count[own] <= upper:  # the two in the middle of an even number lie in two bins
+            below, above = low, high
+            for i in range(n):
+                if np.int32((inner[i] - low) * scale) <= own:
+                    below = max(below, inner[i])
+                else:
+                    above = min(above, inner[i])
+            return 0.5 * (np.float64(below) + np.float64(above))
+        m = 0
+        for i in range(n):
+            b = np.int32((inner[i] - low) * scale)
+            inner[m], inner_times[m] = inner[i], inner_times[i]
+            m += b == own
+        n, lower, upper = m, lower - before, upper - before
 
 
 @compiled
@@ -222,7 +262,7 @@ def heights(
                         continue
                     place = min(max(low + q - 1, 0), size_across - 1)
                     i, j = (place, 3 * line + k) if steep[p] else (line, 3 * place + k)
-                    pixel = float(image[i, j])
+                    pixel = np.float64(image[i, j])
                     hit |= near and (q == 1 or q == 2) and weight[q] > _LEAST_PART and pixel >= limit
                     if subtracted:
                         pixel -= lines[k, 0] * background[i, j] + lines[k, 1]
