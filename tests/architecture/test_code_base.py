@@ -33,7 +33,9 @@ def test_every_option_says_what_it_does_and_its_unit(entry):
             assert unit in entry.help
 
 
-@pytest.mark.parametrize("path", [p for p in SOURCES if "@compiled" in p.read_text(encoding="utf-8")], ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path", [p for p in SOURCES if "@compiled" in p.read_text(encoding="utf-8")], ids=lambda p: p.stem
+)
 def test_kernels_stand_where_the_stored_machine_code_is_watched(path):
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):

@@ -1,6 +1,6 @@
 """Centres of the stripe from strips of pixels (:mod:`rotaline.vision.stripe.strip_kernels`), in compiled loops.
 
-The sums over a strip are made in single precision, eight pixels at once; what that leaves out is 1e-6 of a pixel.
+The sums over the strips of a block of points are made side by side, in single precision; what that leaves out is 1e-6 of a pixel.
 """
 
 from typing import no_type_check
@@ -8,13 +8,18 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
+from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _F = np.float32
 _ZERO, _UNIT, _FLAT, _PART = _F(0.0), _F(1.0), _F(16.0), _F(1.0 / 16.0)
 _SIDE = 3.0  # the sides begin so many widths from the centre
 _LEAST_SIDE = 2  # pixels
-_MOST_STEPS = 6
+_MOST_STEPS = 8
 _LEAST_WINDOW_PX = 1.0
+_REACH = 5.0  # widths of the window
+_SHIFT, _BY_SHAPE, _BY_WINDOW = 0, BLOCK, 2 * BLOCK
+_G0, _G1, _G2, _P0, _P1, _P2 = 3 * BLOCK, 4 * BLOCK, 5 * BLOCK, 6 * BLOCK, 7 * BLOCK, 8 * BLOCK
+_K0, _K1, _K2, _W1, _W2 = 9 * BLOCK, 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK
 # exp(-t), 0 <= t <= 1, to 1e-6
 _C0, _C1, _C2 = _F(0.9999995544211945), _F(-0.9999678512243936), _F(0.4996208737479462)
 _C3, _C4, _C5 = _F(-0.16501271678028187), _F(0.03833892232810025), _F(-0.0050997276264818465)
@@ -34,74 +39,48 @@ def _bell(t: float) -> float:
 
 @compiled
 @no_type_check
-def _sums(
-    distance: np.ndarray,
-    above: np.ndarray,
-    share: np.ndarray,
-    a: int,
-    b: int,
-    shift: float,
-    by_shape: float,
-    by_window: float,
-) -> tuple:
-    """Sums over a strip that settle height and step of the centroid: of weight times bell, and of weight times light, times powers of x."""
-    g0, g1, g2, p0, p1, p2 = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-    s, q, r = _F(shift), _F(by_shape), _F(by_window)
-    d, p, w = distance[a:b], above[a:b], share[a:b]
-    if by_shape == by_window:
-        for k in range(len(d)):
-            x = d[k] - s
-            square = x * x
-            g = _bell(square * q)
-            weight = w[k] * g
-            wg = weight * g
-            wp = weight * p[k]
-            g0 += wg
-            g1 += wg * x
-            g2 += wg * square
-            p0 += wp
-            p1 += wp * x
-            p2 += wp * square
-    else:
-        for k in range(len(d)):
-            x = d[k] - s
-            square = x * x
-            weight = w[k] * _bell(square * r)
-            wg = weight * _bell(square * q)
-            wp = weight * p[k]
-            g0 += wg
-            g1 += wg * x
-            g2 += wg * square
-            p0 += wp
-            p1 += wp * x
-            p2 += wp * square
-    return g0, g1, g2, p0, p1, p2
+def _add(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray, same: bool) -> None:
+    """One place of a block: what settles height and step of the centroid is added to the sums ``s``.
+
+    They are those of weight times bell, and of weight times light, times powers of x.
+    """
+    for k in range(BLOCK):
+        x = d[k] - s[_SHIFT + k]
+        square = x * x
+        g = _bell(square * s[_BY_SHAPE + k])
+        weight = w[k] * (g if same else _bell(square * s[_BY_WINDOW + k]))
+        wg = weight * g
+        wp = weight * p[k]
+        s[_G0 + k] += wg
+        s[_G1 + k] += wg * x
+        s[_G2 + k] += wg * square
+        s[_P0 + k] += wp
+        s[_P1 + k] += wp * x
+        s[_P2 + k] += wp * square
 
 
 @compiled
 @no_type_check
-def _noise_sums(distance: np.ndarray, share: np.ndarray, a: int, b: int, shift: float, by_window: float) -> tuple:
-    """Sums of weight squared times powers of x, and of weight times x and its square."""
-    k0, k1, k2, w1, w2 = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-    s, r = _F(shift), _F(by_window)
-    d, w = distance[a:b], share[a:b]
-    for k in range(len(d)):
-        x = d[k] - s
+def _add_noise(s: np.ndarray, d: np.ndarray, w: np.ndarray) -> None:
+    """One place of a block: weight squared times powers of x, and weight times x and its square."""
+    for k in range(BLOCK):
+        x = d[k] - s[_SHIFT + k]
         square = x * x
-        weight = w[k] * _bell(square * r)
+        weight = w[k] * _bell(square * s[_BY_WINDOW + k])
         wx = weight * x
-        k0 += weight * weight
-        k1 += weight * wx
-        k2 += wx * wx
-        w1 += wx
-        w2 += weight * square
-    return k0, k1, k2, w1, w2
+        s[_K0 + k] += weight * weight
+        s[_K1 + k] += weight * wx
+        s[_K2 + k] += wx * wx
+        s[_W1 + k] += wx
+        s[_W2 + k] += weight * square
 
 
 @compiled
 @no_type_check
 def weighted_centroids(
-    spans: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
+    lanes: int,
     distance: np.ndarray,
     above: np.ndarray,
     share: np.ndarray,
@@ -115,49 +94,105 @@ def weighted_centroids(
     measured_px: np.ndarray,
     height: np.ndarray,
 ) -> None:
-    """As :func:`rotaline.vision.stripe.plain.centres.weighted_centroid`, until a step is shorter than ``short_px``. Results stand in the last four arrays."""
-    for i in range(len(start_px)):
-        a, b = spans[i], spans[i + 1]
-        width = width_px[i]
-        variance = width * width
-        window_variance = max(window * width, _LEAST_WINDOW_PX) ** 2
-        by_shape, by_window = 0.5 / variance, 0.5 / window_variance
-        shift = start_px[i]
-        for _ in range(_MOST_STEPS):
-            f0, f1, f2, q0, q1, q2 = _sums(distance, above, share, a, b, shift, by_shape, by_window)
-            g0, g1, g2, p0, p1, p2 = float(f0), float(f1), float(f2), float(q0), float(q1), float(q2)
-            determinant = g0 * g2 - g1 * g1
+    """As :func:`rotaline.vision.stripe.plain.centres.weighted_centroid`, until no step in a block is longer than ``short_px``.
+
+    Results stand in the last four arrays. The uncertainties are left out where ``u_px`` is empty.
+    """
+    n = len(start_px)
+    s = np.zeros(14 * BLOCK, _F)
+    for begin in range(0, n, BLOCK):
+        m = min(BLOCK, n - begin)
+        same, reach = True, 0.0
+        for k in range(m):
+            width = width_px[begin + k]
+            window_px = max(window * width, _LEAST_WINDOW_PX)
+            same &= window_px == width
+            reach = max(reach, _REACH * window_px + abs(start_px[begin + k]))
+            s[_SHIFT + k], s[_BY_SHAPE + k], s[_BY_WINDOW + k] = (
+                start_px[begin + k], 0.5 / (width * width), 0.5 / (window_px * window_px),
+            )  # fmt: skip
+        lines = count[begin] // lanes
+        inner = min(int(reach + 1.0), lines // 2)
+        low = first[begin] + BLOCK * lanes * (lines // 2 - inner)
+        high = first[begin] + BLOCK * lanes * (lines // 2 + inner + 1)
+        for turn in range(_MOST_STEPS):
+            s[_G0:_K0] = _ZERO
+            for a in range(low, high, BLOCK):
+                _add(s, distance[a : a + BLOCK], above[a : a + BLOCK], share[a : a + BLOCK], same)
+            longest = 0.0
+            for k in range(m):
+                width = width_px[begin + k]
+                g0, g1, g2 = float(s[_G0 + k]), float(s[_G1 + k]), float(s[_G2 + k])
+                p0, p1 = float(s[_P0 + k]), float(s[_P1 + k])
+                step = width * width * (g0 * p1 - g1 * p0) / (g2 * p0 - g1 * p1)
+                step = min(max(step, -1.5 * width), 1.5 * width) if np.isfinite(step) else 0.0
+                measured_px[begin + k] = step
+                longest = max(longest, abs(step))
+            if longest <= short_px or turn == _MOST_STEPS - 1:
+                break
+            for k in range(m):
+                s[_SHIFT + k] += measured_px[begin + k]
+        if len(u_px) > 0:
+            s[_K0:] = _ZERO
+            for a in range(low, high, BLOCK):
+                _add_noise(s, distance[a : a + BLOCK], share[a : a + BLOCK])
+        for k in range(m):
+            i = begin + k
+            width = width_px[i]
+            variance = width * width
+            window_variance = max(window * width, _LEAST_WINDOW_PX) ** 2
+            g0, g1, g2 = float(s[_G0 + k]), float(s[_G1 + k]), float(s[_G2 + k])
+            p0, p1, p2 = float(s[_P0 + k]), float(s[_P1 + k]), float(s[_P2 + k])
             peak = g2 * p0 - g1 * p1
-            step = variance * (g0 * p1 - g1 * p0) / peak
-            if not np.isfinite(step):
-                break
-            step = min(max(step, -1.5 * width), 1.5 * width)
-            shift += step
-            if abs(step) < short_px:
-                break
-        f0, f1, f2, w1, w2 = _noise_sums(distance, share, a, b, shift, by_window)
-        k0, k1, k2 = float(f0), float(f1), float(f2)
-        from_slope = g0 * w2 - g1 * w1
-        high = peak / determinant
-        u = (
-            variance
-            / peak
-            * np.sqrt(g0 * g0 * k2 - 2.0 * g0 * g1 * k1 + g1 * g1 * k0 + slope_variance[i] * from_slope * from_slope)
-        )
-        product = variance * window_variance / (variance + window_variance)
-        moment = p2 / p0 - g2 / g0 + product
-        wide = moment * window_variance / max(window_variance - moment, 1e-3 * window_variance)
-        found = p0 > 0 and high > 0 and np.isfinite(u) and u > 0
-        shift_px[i] = shift if found else np.nan
-        u_px[i] = u
-        measured_px[i] = min(np.sqrt(max(wide, 0.1)), 3.0 * width)
-        height[i] = high
+            high_i = peak / (g0 * g2 - g1 * g1)
+            u = 1.0
+            if len(u_px) > 0:
+                k0, k1, k2 = float(s[_K0 + k]), float(s[_K1 + k]), float(s[_K2 + k])
+                from_slope = g0 * float(s[_W2 + k]) - g1 * float(s[_W1 + k])
+                total = g0 * g0 * k2 - 2.0 * g0 * g1 * k1 + g1 * g1 * k0 + slope_variance[i] * from_slope * from_slope
+                u = variance / peak * np.sqrt(total)
+                u_px[i] = u
+            product = variance * window_variance / (variance + window_variance)
+            off, own = p1 / p0, g1 / g0  # the same but for the last step
+            moment = p2 / p0 - off * off - g2 / g0 + own * own + product
+            wide = moment * window_variance / max(window_variance - moment, 1e-3 * window_variance)
+            found = p0 > 0 and high_i > 0 and np.isfinite(u) and u > 0
+            shift_px[i] = s[_SHIFT + k] + measured_px[i] if found else np.nan
+            measured_px[i] = min(np.sqrt(max(wide, 0.1)), 3.0 * width)
+            height[i] = high_i
+
+
+@compiled
+@no_type_check
+def _add_sides(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> None:
+    """One place of a block: sums for the line through the sides, of what lies beyond a limit."""
+    for k in range(BLOCK):
+        x, q = d[k], p[k] - s[k]
+        use = _UNIT if (abs(x) > s[BLOCK + k]) & (w[k] > _ZERO) else _ZERO
+        negative = use if x < _ZERO else _ZERO
+        ux, uq = use * x, use * q
+        s[2 * BLOCK + k] += use
+        s[3 * BLOCK + k] += negative
+        s[4 * BLOCK + k] += negative * q
+        s[5 * BLOCK + k] += ux
+        s[6 * BLOCK + k] += uq
+        s[7 * BLOCK + k] += ux * x
+        s[8 * BLOCK + k] += ux * q
+
+
+@compiled
+@no_type_check
+def _take_line(s: np.ndarray, d: np.ndarray, p: np.ndarray) -> None:
+    """Subtract lines (level, slope) from one place of a block."""
+    for k in range(BLOCK):
+        p[k] -= s[k] + s[BLOCK + k] * d[k]
 
 
 @compiled
 @no_type_check
 def subtract_sides(
-    spans: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
     distance: np.ndarray,
     above: np.ndarray,
     share: np.ndarray,
@@ -175,50 +210,44 @@ def subtract_sides(
     line : (n, 3) out   level at the point, slope, variance of the slope for a pixel variance of 1; a level where one side is not seen
     sides : (n, 2) out   mean grey value of each side; NaN where there is none
     """
-    for i in range(len(width_px)):
-        limit = _F(_SIDE * width_px[i])
-        d, p, share_i = (
-            distance[spans[i] : spans[i + 1]],
-            above[spans[i] : spans[i + 1]],
-            share[spans[i] : spans[i + 1]],
-        )
-        if hits[i]:
-            for k in range(len(d)):
-                if clipped[spans[i] + k]:
-                    share_i[k] = -share_i[k]
-        reference = _ZERO
-        for k in range(len(d)):
-            if share_i[k] > _ZERO:
-                reference = p[k]
-                break
-        n, m, x1, x2, p1, xp, left = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-        for k in range(len(d)):
-            x, q = d[k], p[k] - reference
-            use = _UNIT if (abs(x) > limit) & (share_i[k] > _ZERO) else _ZERO
-            negative = use if x < _ZERO else _ZERO
-            n += use
-            m += negative
-            left += negative * q
-            x1 += use * x
-            p1 += use * q
-            x2 += use * x * x
-            xp += use * x * q
-        if hits[i]:
-            for k in range(len(d)):
-                share_i[k] = abs(share_i[k])
-        count, below, sum_x, sum_p, sum_left = float(n), float(m), float(x1), float(p1), float(left)
-        slope, variance, level = 0.0, 0.0, 0.0
-        if count > 0.0:
-            mean_x, mean_p = sum_x / count, sum_p / count
-            if below >= _LEAST_SIDE and count - below >= _LEAST_SIDE:
-                spread = max(float(x2) - count * mean_x * mean_x, 1e-9)
-                slope = (float(xp) - mean_x * sum_p) / spread
-                variance = 1.0 / spread
-            level = mean_p - slope * mean_x
-        level += reference
-        sides[i, 0] = sum_left / below + reference if below > 0.0 else np.nan
-        sides[i, 1] = (sum_p - sum_left) / (count - below) + reference if count > below else np.nan
-        line[i, 0], line[i, 1], line[i, 2] = level, slope, variance
-        c0, c1 = _F(level), _F(slope)
-        for k in range(len(d)):
-            p[k] -= c0 + c1 * d[k]
+    n = len(width_px)
+    s = np.zeros(9 * BLOCK, _F)
+    for begin in range(0, n, BLOCK):
+        m = min(BLOCK, n - begin)
+        low, high = first[begin], first[begin] + BLOCK * count[begin]
+        s[:] = _ZERO
+        for k in range(m):
+            i = begin + k
+            if hits[i]:  # clipped pixels do not count here
+                for a in range(low + k, high, BLOCK):
+                    if clipped[a]:
+                        share[a] = -share[a]
+            for a in range(low + k, high, BLOCK):
+                if share[a] > _ZERO:
+                    s[k] = above[a]
+                    break
+            s[BLOCK + k] = _SIDE * width_px[i]
+        for a in range(low, high, BLOCK):
+            _add_sides(s, distance[a : a + BLOCK], above[a : a + BLOCK], share[a : a + BLOCK])
+        for k in range(m):
+            i = begin + k
+            if hits[i]:
+                for a in range(low + k, high, BLOCK):
+                    share[a] = abs(share[a])
+            reference, n_all, below = float(s[k]), float(s[2 * BLOCK + k]), float(s[3 * BLOCK + k])
+            sum_left, sum_x, sum_p = float(s[4 * BLOCK + k]), float(s[5 * BLOCK + k]), float(s[6 * BLOCK + k])
+            slope, variance, level = 0.0, 0.0, 0.0
+            if n_all > 0.0:
+                mean_x, mean_p = sum_x / n_all, sum_p / n_all
+                if below >= _LEAST_SIDE and n_all - below >= _LEAST_SIDE:
+                    spread = max(float(s[7 * BLOCK + k]) - n_all * mean_x * mean_x, 1e-9)
+                    slope = (float(s[8 * BLOCK + k]) - mean_x * sum_p) / spread
+                    variance = 1.0 / spread
+                level = mean_p - slope * mean_x
+            level += reference
+            sides[i, 0] = sum_left / below + reference if below > 0.0 else np.nan
+            sides[i, 1] = (sum_p - sum_left) / (n_all - below) + reference if n_all > below else np.nan
+            line[i, 0], line[i, 1], line[i, 2] = level, slope, variance
+            s[k], s[BLOCK + k] = level, slope
+        for a in range(low, high, BLOCK):
+            _take_line(s, distance[a : a + BLOCK], above[a : a + BLOCK])

@@ -9,7 +9,6 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.settle_kernels import paint_across
 from rotaline.vision.stripe.tile_kernels import BLOCK_COLUMNS, FIRST, TILE
 
 _BESIDE = 5  # px on both sides of a chain, across it, that it explains
@@ -35,8 +34,8 @@ def explained(
     number: np.ndarray,
     columns: int,
     limits: np.ndarray,
-    covered: np.ndarray,
-    mark: int,
+    h: int,
+    w: int,
 ) -> bool:
     """Whether the parts of the chains explain what is bright in the tiles of the queue, whose smoothed values are given."""
     height = np.zeros(len(queue), np.float32)
@@ -46,8 +45,11 @@ def explained(
     for p in range(len(begin)):
         if _wide(line, place, prominence, begin[p], end[p], steep[chain[p]], smooth, number, columns, low, height):
             return False
+    covered = np.empty((len(queue), TILE * BLOCK_COLUMNS), np.bool_)
+    for k in range(len(queue)):
+        _start(covered[k], min(TILE, h - queue[k] // columns * TILE), min(TILE, w - queue[k] % columns * TILE))
     for p in range(len(begin)):
-        _cover(line, place, begin[p], end[p], steep[chain[p]], covered, mark)
+        _cover(line, place, begin[p], end[p], steep[chain[p]], number, columns, h, w, covered)
     least = _DIM * min(limits[0], limits[1])
     for k in range(len(queue)):
         a, b = queue[k] // columns, queue[k] % columns
@@ -56,7 +58,7 @@ def explained(
             for j in range(max(b - 1, 0), min(b + 2, columns)):
                 if number[i * columns + j] >= 0:
                     highest = max(highest, height[number[i * columns + j]])
-        if _bright_beside(smooth[k], low[k] + max(least, _WING * highest), a, b, covered, mark):
+        if _bright_beside(smooth[k], low[k] + max(least, _WING * highest), covered[k]):
             return False
     return True
 
@@ -124,10 +126,19 @@ def _wide(
 @compiled
 @no_type_check
 def _cover(
-    line: np.ndarray, place: np.ndarray, begin: int, end: int, steep: bool, covered: np.ndarray, mark: int
+    line: np.ndarray,
+    place: np.ndarray,
+    begin: int,
+    end: int,
+    steep: bool,
+    number: np.ndarray,
+    columns: int,
+    h: int,
+    w: int,
+    covered: np.ndarray,
 ) -> None:
-    """Set the pixels beside the points of a chain, in its gaps and beyond its ends."""
-    lines = covered.shape[0] if steep else covered.shape[1]
+    """Mark the pixels beside the points of a chain, in its gaps and beyond its ends; ``covered[k, 32 i + j]`` is pixel (i, j) of tile k."""
+    lines, places = (h, w) if steep else (w, h)
     half = _BESIDE
     for k in range(begin, end):
         if (k - begin) % 8 == 0:
@@ -135,24 +146,39 @@ def _cover(
             half = int(np.ceil(_BESIDE * np.sqrt(1.0 + slope * slope)))
         first = max(line[k] - (_BEYOND if k == begin else 0), 0)
         last = min(line[k + 1] if k + 1 < end else line[k] + _BEYOND + 1, lines)
-        for i in range(first, last):
-            paint_across(covered, i, place[k] - half, place[k] + half, steep, mark)
+        low, high = max(place[k] - half, 0), min(place[k] + half, places - 1)
+        for at in range(first, last):
+            for t in range(low // TILE, high // TILE + 1):
+                tile = number[at // TILE * columns + t] if steep else number[t * columns + at // TILE]
+                if tile < 0:
+                    continue
+                i, j = np.uint64(max(low - t * TILE, 0)), np.uint64(min(high - t * TILE, TILE - 1) + 1)
+                pixels, line_in_tile = covered[tile], np.uint64(at % TILE)
+                if steep:
+                    for column in range(i, j):
+                        pixels[line_in_tile * np.uint64(BLOCK_COLUMNS) + column] = True
+                else:
+                    for row in range(i, j):
+                        pixels[row * np.uint64(BLOCK_COLUMNS) + line_in_tile] = True
 
 
 @compiled
 @no_type_check
-def _bright_beside(smooth: np.ndarray, least: float, a: int, b: int, covered: np.ndarray, mark: int) -> bool:
+def _start(covered: np.ndarray, height: int, width: int) -> None:
+    """Mark what does not count in a tile: every other row, and what lies beside the tile or the image."""
+    for i in range(TILE):
+        row = covered[i * BLOCK_COLUMNS : (i + 1) * BLOCK_COLUMNS]
+        row[:] = True
+        if i % 2 == 0 and i < height:
+            row[:width] = False
+
+
+@compiled
+@no_type_check
+def _bright_beside(smooth: np.ndarray, least: float, covered: np.ndarray) -> bool:
     """Whether a tile has smoothed values above ``least`` that are not covered."""
-    h, w = covered.shape
-    n = 0
-    for t in range(FIRST, FIRST + TILE * BLOCK_COLUMNS - TILE):
-        n += smooth[t] > least
-    if n < _FEW:
-        return False
-    n = 0
-    columns = np.uint64(min(TILE, w - b * TILE))
-    for i in range(0, min(TILE, h - a * TILE), 2):
-        row, left, first = np.uint64(a * TILE + i), np.uint64(b * TILE), np.uint64(FIRST + i * BLOCK_COLUMNS)
-        for j in range(columns):
-            n += (smooth[first + j] > least) & (covered[row, left + j] != mark)
+    n, limit = np.int32(0), np.float32(least)
+    values = smooth[FIRST:]
+    for t in range(TILE * BLOCK_COLUMNS - TILE):
+        n += np.int32((values[t] > limit) & (not covered[t]))
     return n >= _FEW

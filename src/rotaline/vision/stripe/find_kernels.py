@@ -21,13 +21,18 @@ from rotaline.vision.stripe.tile_kernels import (
     tile_peaks,
 )
 
-_FEW, _MANY = 12, 1200  # tiles that tell the noise
-_SMALL = 65536  # px; of an image that is not larger all pixels tell the noise
+_FEW, _MANY, _MOST = 12, 96, 400  # tiles that tell the noise
+_CLEAR = 1.5  # limits: to a stripe as prominent the exact limit, and what stands out by less, does not matter
+QUICK, CAREFUL, EVERYWHERE = 0, 1, 2
 _LEAST_NOISE = 0.08
 _SURE = 1.25
-_LUCK = 0.35  # limits by the noise alone; the highest of the pixels on top of a ridge is so much higher than the ridge
+_SPLIT = 0.7  # of the limit: a thin ridge between two pairs of rows shows so little in means of 2 x 2 values
+_LUCK = (
+    0.35  # of the limit by the noise alone: the highest of the means on top of a ridge is so much above the usual one
+)
+_CROWD = 0.06  # of all tiles
+_HIGHER = 1.35  # times the limit, where most tiles stand out by chance, as those of noise that is cut off at 0 do
 _PER_TILE = 64  # candidates at most: they lie four pixels apart
-KEPT_TILES = 2048
 
 
 @compiled
@@ -38,10 +43,11 @@ def search(
     threshold: float,
     floor: float,
     rounding: float,
-    everywhere: bool,
+    effort: int,
     taken: np.ndarray,
     mark: int,
     finest: np.ndarray,
+    smooth: np.ndarray,
 ) -> tuple:
     """Chains of candidates of one image.
 
@@ -52,9 +58,10 @@ def search(
     threshold : float   least prominence as a multiple of the prominence of the noise
     floor : float   least prominence
     rounding : float   step of the values
-    everywhere : bool   search all tiles, not only the bright ones
-    taken : (h, w)   uint8, nowhere ``mark`` nor ``mark + 1``, which are set here
+    effort : int   QUICK; CAREFUL, with more tiles, for stripes near the limit that the noise sets; or EVERYWHERE, in all tiles
+    taken : (h, w)   uint8, nowhere ``mark``, which is set here
     finest : (h, w)   float32, zeros; zeros again afterwards
+    smooth : (n, SMOOTH_SIZE)   float32, room for the smoothed values of so many tiles
 
     Returns
     -------
@@ -63,6 +70,7 @@ def search(
     steep, factor : (k,)   the kind of each chain, and 1
     begin, end, chain : (m,)   the parts of chains that no stronger one covers
     plain : bool   nothing in the image needs to be looked at in a smaller size
+    clear : bool   more effort would not show more
     """
     h, w = pixels.shape[0], pixels.shape[1] // size
     rows, columns = -(-h // TILE), -(-w // TILE)
@@ -73,34 +81,35 @@ def search(
     limits = np.empty(2, np.float32)
     tops = np.empty((rows, columns), np.float32)
     lows = np.empty((rows, columns), np.float32)
-    if not everywhere:
+    if effort != EVERYWHERE:
         sweep(pixels, size, tops, lows)
-    by_noise = _limits(pixels, size, rows, columns, threshold, floor, raw, block, half, limits)
+    by_noise = _limits(pixels, size, rows, columns, threshold, floor, effort, raw, block, half, limits)
     queue = np.empty(n_tiles, np.int32)
     number = np.full(n_tiles, -1, np.int32)
-    if everywhere:
+    if effort == EVERYWHERE:
         n_queue = n_tiles
         for k in range(n_tiles):
             queue[k] = k
     else:
-        n_queue = bright_tiles(tops, lows, min(limits[0], limits[1]) + _LUCK * by_noise - 0.5 * rounding, queue)
+        least = _SPLIT * min(limits[0], limits[1]) + _LUCK * by_noise - 0.25 * rounding
+        n_queue = bright_tiles(tops, lows, least, queue)
+        if effort == QUICK and n_queue > _CROWD * n_tiles and by_noise >= floor:
+            by_chance = n_queue - bright_tiles(tops, lows, _HIGHER * least, queue)
+            n_queue = n_queue - by_chance if 2 * by_chance > n_queue else bright_tiles(tops, lows, least, queue)
     for k in range(n_queue):
         number[queue[k]] = k
-    smooth = np.empty((min(n_queue + n_queue // 2 + 32, KEPT_TILES), SMOOTH_SIZE), np.float32)
-    room = _PER_TILE * 128
+    room = _PER_TILE * 32
     line, place = np.empty((2, room), np.int32), np.empty((2, room), np.int32)
     prominence = np.empty((2, room), np.float32)
     peaks, bit = np.zeros(TILE * BLOCK_COLUMNS, np.uint16), _bits()
     count = np.zeros(2, np.int64)
     done = 0
     while done < n_queue:
-        if done == len(smooth) and done < KEPT_TILES:
-            smooth = _larger(smooth, KEPT_TILES, SMOOTH_SIZE)
         if max(count[0], count[1]) + _PER_TILE > room:
             room *= 4
             line, place, prominence = _larger(line, 2, room), _larger(place, 2, room), _larger(prominence, 2, room)
         a, b = queue[done] // columns, queue[done] % columns
-        values = smooth[min(done, KEPT_TILES - 1)]
+        values = smooth[min(done, len(smooth) - 1)]
         smooth_tile(pixels, size, a, b, raw, block, half, values)
         near = 0
         # the step as a number, not a variable: known beforehand, it makes faster loops
@@ -128,7 +137,7 @@ def search(
         steep[k] = True
     factor = np.ones(n_chains, np.int32)
     begin, end, chain = compete(line, place, prominence, start, steep, factor, taken, mark, finest)
-    plain = n_queue <= KEPT_TILES and explained(
+    plain = n_queue <= len(smooth) and explained(
         line,
         place,
         prominence,
@@ -141,10 +150,23 @@ def search(
         number,
         columns,
         limits,
-        taken,
-        mark + 1,
+        h,
+        w,
     )
-    return line, place, prominence, start, steep, factor, begin, end, chain, plain
+    clear = by_noise < floor or _strongest(prominence, begin, end) > _CLEAR * max(limits[0], limits[1])
+    return line, place, prominence, start, steep, factor, begin, end, chain, plain, clear
+
+
+@compiled
+@no_type_check
+def _strongest(prominence: np.ndarray, begin: np.ndarray, end: np.ndarray) -> float:
+    """Usual prominence of the part of a chain with the largest sum of it; 0 if there is none."""
+    most, usual = 0.0, 0.0
+    for p in range(len(begin)):
+        total = prominence[begin[p] : end[p]].sum()
+        if total > most:
+            most, usual = total, median(prominence[begin[p] : end[p]])
+    return usual
 
 
 @compiled
@@ -240,6 +262,7 @@ def _limits(
     columns: int,
     threshold: float,
     floor: float,
+    effort: int,
     raw: np.ndarray,
     block: np.ndarray,
     half: np.ndarray,
@@ -247,7 +270,7 @@ def _limits(
 ) -> float:
     """Least prominence of steep and of flat candidates; returns what it would be by the noise alone, or something less.
 
-    A few tiles show whether the noise counts at all; if it may, many tell how large it is.
+    A few tiles show whether the noise counts at all; if it may, more tell how large it is.
     """
     h, w = pixels.shape[0], pixels.shape[1] // size
     smooth = np.empty(SMOOTH_SIZE, np.float32)
@@ -255,37 +278,32 @@ def _limits(
     quiet = floor / (1.4826 * threshold * _SURE) if threshold > 0.0 else np.inf
     if floor < threshold * _LEAST_NOISE:
         quiet = 0.0
-    samples = np.empty((2, 1), np.float32)
+    first, step = (0, 1) if rows * columns <= _FEW else (2, 5)
+    many = _MANY if effort == QUICK else _MOST
+    samples = np.empty((2, max(many * 3 * TILE, _FEW * TILE * TILE)), np.float32)
     count = np.zeros(2, np.int64)
-    for tiles in (_FEW, _MANY):
+    for tiles in (_FEW, many):
         number = min(tiles, rows * columns)
-        step = 3 if tiles == _FEW else 5 if h * (w - 6) > _SMALL else 1
-        samples = np.empty((2, number * (-(-TILE // step)) ** 2), np.float32)
         count[0] = count[1] = 0
         for k in range(number):
             tile = k * rows * columns // number
             tile += k * 7 % ((k + 1) * rows * columns // number - tile)  # not all in the same columns
-            a, b = tile // columns, tile % columns
-            smooth_tile(pixels, size, a, b, raw, block, half, smooth)
-            top, left = a * TILE, b * TILE
-            bottom, right = min(top + TILE, h), min(left + TILE, w)
-            for i in range(_next(top, 0, step), bottom, step):
-                for j in range(_next(left, 3, step), min(right, w - 3), step):
-                    t = FIRST + (i - top) * BLOCK_COLUMNS + j - left
-                    samples[0, count[0]] = smooth[t] - max(smooth[t - 3], smooth[t + 3])
-                    count[0] += 1
-            for i in range(_next(top, 3, step), min(bottom, h - 3), step):
-                for j in range(_next(left, 0, step), right, step):
-                    t = FIRST + (i - top) * BLOCK_COLUMNS + j - left
-                    samples[1, count[1]] = smooth[t] - max(smooth[t - 3 * BLOCK_COLUMNS], smooth[t + 3 * BLOCK_COLUMNS])
-                    count[1] += 1
+            top, left = tile // columns * TILE, tile % columns * TILE
+            smooth_tile(pixels, size, tile // columns, tile % columns, raw, block, half, smooth)
+            for i in range(first, min(TILE, h - top), step):
+                t = FIRST + i * BLOCK_COLUMNS
+                low, high = max(3 - left, 0), min(TILE, w - 3 - left)
+                if low < high:
+                    count[0] += _drops(smooth, t + low, t + high, 3, samples[0, count[0] :])
+                if 3 <= top + i < h - 3:
+                    count[1] += _drops(smooth, t, t + min(TILE, w - left), 3 * BLOCK_COLUMNS, samples[1, count[1] :])
         steep, flat = samples[0, : count[0]], samples[1, : count[1]]
         if tiles == _FEW and _within(steep, quiet) and _within(flat, quiet):
             calm = _within(steep, 0.5 * quiet) or _within(flat, 0.5 * quiet)
             return 0.0 if calm else 0.4 * floor
     least = np.inf
     for kind in range(2):
-        values = samples[kind, : count[kind]]
+        values = samples[kind, : (count[kind] - 1) | 1]  # an odd number has a quicker median
         centre = median(values)
         for k in range(len(values)):
             values[k] = abs(values[k] - centre)
@@ -297,22 +315,26 @@ def _limits(
 
 @compiled
 @no_type_check
-def _next(place: int, first: int, step: int) -> int:
-    """The first of first, first + step, ... that does not lie before the place."""
-    return first + max(-((first - place) // step), 0) * step
+def _drops(smooth: np.ndarray, begin: int, end: int, away: int, out: np.ndarray) -> int:
+    """Heights of values above the higher of two, away to both sides; returns how many."""
+    for k in range(end - begin):
+        t = begin + k
+        out[k] = smooth[t] - max(smooth[t - away], smooth[t + away])
+    return end - begin
 
 
 @compiled
 @no_type_check
 def _within(values: np.ndarray, tolerance: float) -> bool:
     """Whether three of five values lie about their usual value, the mean of those near 0, by less than the tolerance."""
-    total, n = 0.0, 0
-    for value in values:
-        if abs(value) < 8.0 * tolerance:
-            total += value
-            n += 1
-    usual = total / max(n, 1)
-    n = 0
-    for value in values:
-        n += abs(value - usual) < tolerance
+    near, limit = np.float32(8.0 * tolerance), np.float32(tolerance)
+    total, n = np.float32(0.0), np.int32(0)
+    for k in range(len(values)):
+        close = abs(values[k]) < near
+        total += values[k] if close else np.float32(0.0)
+        n += np.int32(close)
+    usual = np.float32(total / max(n, 1))
+    n = np.int32(0)
+    for k in range(len(values)):
+        n += np.int32(abs(values[k] - usual) < limit)
     return n >= 0.6 * len(values)

@@ -5,6 +5,7 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
+from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _STEPS = 8
 
@@ -58,7 +59,8 @@ def _equations(
 @compiled
 @no_type_check
 def fit_gaussians(
-    spans: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
     distance: np.ndarray,
     above: np.ndarray,
     share: np.ndarray,
@@ -76,14 +78,15 @@ def fit_gaussians(
     theta, trial = np.zeros(5), np.zeros(5)
     normal, kept, right, step = np.empty((5, 5)), np.empty((5, 5)), np.empty(5), np.empty(5)
     for i in range(n):
-        a, b = spans[i], spans[i + 1]
-        d, light = distance[a:b].astype(np.float64), above[a:b].astype(np.float64)
-        use = np.zeros(b - a)
+        m, own = count[i], slice(first[i], first[i] + BLOCK * count[i], BLOCK)
+        d, light = distance[own].astype(np.float64), above[own].astype(np.float64)
+        weight, top = share[own], clipped[own]
+        use = np.zeros(m)
         enough = 0.0
-        for k in range(b - a):
+        for k in range(m):
             near = abs(d[k] - start_px[i]) <= 4.5 * width_px[i] + 1.0
-            if near and share[a + k] > 0.0 and not (hits[i] > 0 and clipped[a + k]):
-                use[k] = share[a + k]
+            if near and weight[k] > 0.0 and not (hits[i] > 0 and top[k]):
+                use[k] = weight[k]
                 enough += use[k]
         theta[:] = 0.0
         theta[0], theta[1], theta[2] = start_px[i], width_px[i], height[i]
@@ -118,7 +121,7 @@ def fit_gaussians(
             normal[k, k] += 1e-9 * normal[k, k] + 1e-12
         _solve(normal, step, p)
         total = 0.0
-        for k in range(b - a):
+        for k in range(m):
             if use[k] > 0.0:
                 z = (d[k] - theta[0]) / theta[1]
                 g = np.exp(-0.5 * z * z)

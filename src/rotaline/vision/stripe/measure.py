@@ -30,9 +30,8 @@ _WIDER = 1.05  # a wider window, which minds the shape of the profile less, may 
 _REACH = 3.5  # widths of the window
 _SIDE_PX, _SIDE_WIDTHS = 4.0, 4.0  # the strips reach so many widths and px to both sides
 _NOISE_FROM = 3.3  # widths: pixels further out tell the noise
-_LAG, _PAIRS = 3, 192  # points between profiles whose pixels are compared; such pairs a chain
+_LAG, _PAIRS = 3, 96  # points between profiles whose pixels are compared; such pairs a chain
 _MOST_HELD_PX = 2.0  # the first strips hold the wider window of a stripe up to this width
-_WIDTH_TOLERANCE = 0.08  # a window may be off by this part
 _FIT_REACH = 4.5  # widths
 
 
@@ -70,7 +69,13 @@ class _Ground:
 
     def subtract(self, strips: Strips, points: Int[np.ndarray, " k"] | None = None) -> None:
         """Take the ground away from strips across all points, or across some."""
-        subtract_lines(self.line if points is None else self.line[points], strips.spans, strips.distance, strips.level)
+        subtract_lines(
+            self.line if points is None else self.line[points],
+            strips.first,
+            strips.count,
+            strips.distance,
+            strips.level,
+        )
         if points is None:
             points = np.arange(len(self.line))
         if self.at is not None:
@@ -100,9 +105,8 @@ def measure(trace: Trace, plane: Plane, options: StripeOptions) -> Measured:
         plane.flat, plane.size, trace.uv, trace.normal, trace.starts, _NOISE_FROM * width,
         _SIDE_WIDTHS * width + _SIDE_PX, _LAG, _PAIRS,
     )  # fmt: skip
-    raw = strips.level.copy() if options.method == "gray-gravity" else strips.level
     line, noise, differ, some = sides_and_noise(
-        trace.starts, width, strips.spans, strips.distance, strips.level, strips.share, strips.clipped, strips.hits,
+        trace.starts, width, strips.first, strips.count, strips.distance, strips.level, strips.share, strips.clipped, strips.hits,
         differences, ends, 0.29 * plane.unit,
     )  # fmt: skip
     ground = _Ground(line)
@@ -123,18 +127,26 @@ def measure(trace: Trace, plane: Plane, options: StripeOptions) -> Measured:
             floor = _floor(trace, centres, noise)
         middle = start
     else:
-        rough, _ = _centres(trace, strips, ground, zero, width, noise, 1.0)
+        rough, _, _ = _centres(trace, strips, ground, zero, width, noise, 1.0)
         middle = np.where(np.isfinite(rough.shift_px), rough.shift_px, 0.0)
         if options.method == "steger":
             centres = _steger(trace, plane, rough, middle)
         else:
             found = flat_centroids(
-                strips.spans, strips.distance, raw, strips.share, strips.clipped, strips.hits, width, middle
+                strips.first,
+                strips.count,
+                strips.distance,
+                strips.level,
+                strips.share,
+                strips.clipped,
+                strips.hits,
+                width,
+                middle,
             )
             centres = Centres(np.where(np.isnan(rough.shift_px), np.nan, found[0]), *found[1:])
         floor = _floor(trace, centres, noise)
     saturated = (
-        clipped_cores(strips.hits, middle, width, strips.spans, strips.distance, strips.clipped)
+        clipped_cores(strips.hits, middle, width, strips.first, strips.count, strips.distance, strips.clipped)
         if clipped
         else np.zeros(len(width), dtype=bool)
     )
@@ -156,12 +168,7 @@ def _improved(
         if window > 1.0 and width.max() > _MOST_HELD_PX:
             strips = _strips(trace, plane, _REACH * window * width + 1.5)
             ground.subtract(strips)
-        centres, (scatter, floor) = _centres(trace, strips, ground, start, width, noise, window)
-        if window == 1.0:
-            better = trace.mean_along(np.clip(np.nan_to_num(centres.width_px, nan=1.0), 0.6 * width, 1.5 * width), 10)
-            if (np.abs(better - width) > _WIDTH_TOLERANCE * width).any():
-                width = better
-                centres, (scatter, floor) = _centres(trace, strips, ground, start, width, noise, window)
+        centres, width, (scatter, floor) = _centres(trace, strips, ground, start, width, noise, window, window == 1.0)
         if best is None or scatter < _WIDER * best[0]:
             best = (scatter, floor, centres)
         if floor < 0.5 * scatter:
@@ -179,13 +186,14 @@ def _centres(
     width: Float[np.ndarray, " n"],
     noise: Float[np.ndarray, " n"],
     window: float,
-) -> tuple[Centres, tuple[float, float]]:
-    """Weighted centroids; their scatter along the chains, and its part that the noise does not explain."""
-    shift, u, measured, height, scatter, floor = centres_under(
-        trace.uv, trace.starts, trace.normal, width, noise, strips.spans, strips.distance, strips.level, strips.share,
-        ground.line[:, 2], start, window,
+    adapt: bool = False,
+) -> tuple[Centres, Float[np.ndarray, " n"], tuple[float, float]]:
+    """Weighted centroids, the widths used; their scatter along the chains, and its part that the noise does not explain."""
+    shift, u, measured, height, used, scatter, floor = centres_under(
+        trace.uv, trace.starts, trace.normal, width, noise, strips.first, strips.count, strips.distance, strips.level, strips.share,
+        ground.line[:, 2], start, window, adapt,
     )  # fmt: skip
-    return Centres(shift, u, measured, height), (scatter, floor)
+    return Centres(shift, u, measured, height), used, (scatter, floor)
 
 
 def _floor(trace: Trace, centres: Centres, noise: Float[np.ndarray, " n"]) -> float:
@@ -209,7 +217,7 @@ def _with_steps(
     zero: Float[np.ndarray, " n"],
 ) -> tuple[_Ground, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """The ground with steps where the two sides differ; the strips follow. Also the centres so far, and their doubt."""
-    rough, _ = _centres(trace, strips, ground, zero, trace.width_px, noise, 1.0)
+    rough, _, _ = _centres(trace, strips, ground, zero, trace.width_px, noise, 1.0)
     start = np.where(np.isfinite(rough.shift_px), rough.shift_px, 0.0)
     at = np.flatnonzero(differ)
     uv, normal, width = trace.uv[at], trace.normal[at], trace.width_px[at]
@@ -245,7 +253,7 @@ def _fit(
     ground.subtract(strips, which)
     return Centres(
         *fit_gaussians(
-            strips.spans, strips.distance, strips.level, strips.share, strips.clipped, strips.hits,
+            strips.first, strips.count, strips.distance, strips.level, strips.share, strips.clipped, strips.hits,
             start, width, height, fit_background,
         )
     )  # fmt: skip

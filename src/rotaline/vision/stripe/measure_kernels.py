@@ -7,10 +7,13 @@ import numpy as np
 from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.centre_kernels import subtract_sides, weighted_centroids
 from rotaline.vision.stripe.chain_kernels import window_mean
+from rotaline.vision.stripe.strip_kernels import BLOCK
 from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_floor
 
 _DIFFER = 4.0  # noises
-_SHORT_PX = 1e-3  # a centre is settled when it moves by less
+_LANES = 3
+_WIDTH_TOLERANCE = 0.08  # a window may be off by this part
+_SHORT_PX = 0.02  # a step is the last when it is shorter: what the next would be is a tenth of it
 
 
 @compiled
@@ -18,7 +21,8 @@ _SHORT_PX = 1e-3  # a centre is settled when it moves by less
 def sides_and_noise(
     starts: np.ndarray,
     width_px: np.ndarray,
-    spans: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
     distance: np.ndarray,
     level: np.ndarray,
     share: np.ndarray,
@@ -39,7 +43,7 @@ def sides_and_noise(
     """
     n = len(width_px)
     line, sides = np.empty((n, 3)), np.empty((n, 2))
-    subtract_sides(spans, distance, level, share, clipped, hits, width_px, line, sides)
+    subtract_sides(first, count, distance, level, share, clipped, hits, width_px, line, sides)
     noise = pixel_noise(differences, ends, starts, floor)
     differ = np.empty(n)
     some = False
@@ -66,32 +70,59 @@ def centres_under(
     normal: np.ndarray,
     width_px: np.ndarray,
     noise: np.ndarray,
-    spans: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
     distance: np.ndarray,
     level: np.ndarray,
     share: np.ndarray,
     slope_variance: np.ndarray,
     start_px: np.ndarray,
     window: float,
+    adapt: bool,
 ) -> tuple:
-    """Centres under a window: shifts, uncertainties for a noise of 1, widths, heights; their scatter and its unexplained part."""
+    """Centres under a window; with ``adapt``, once more where the measured widths, averaged along the stripe, are others.
+
+    Returns
+    -------
+    shifts, uncertainties for a noise of 1, measured widths, heights; widths that were used; scatter, and its unexplained part
+    """
     n = len(width_px)
     shift, u, measured, height = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    weighted_centroids(
-        spans, distance, level, share, slope_variance, start_px, width_px,
-        window, _SHORT_PX, shift, u, measured, height,
-    )  # fmt: skip
+    start, width, bounded, better = start_px.copy(), width_px.copy(), np.empty(n), np.empty(n)
+    for turn in range(2 if adapt else 1):
+        if turn:
+            for i in range(n):
+                w = measured[i] if measured[i] > 0.0 else 1.0  # NaN where nothing was seen
+                bounded[i] = min(max(w, 0.6 * width_px[i]), 1.5 * width_px[i])
+            window_mean(bounded, starts, 10, better)
+        for a in range(0, n, BLOCK):
+            b = min(a + BLOCK, n)
+            if turn:
+                same = True
+                for i in range(a, b):
+                    same &= abs(better[i] - width[i]) <= _WIDTH_TOLERANCE * width[i]
+                if same:
+                    continue
+                for i in range(a, b):
+                    width[i] = better[i]
+                    start[i] = start[i] if np.isnan(shift[i]) else shift[i]
+            weighted_centroids(
+                first[a:b], count[a:b], _LANES, distance, level, share, slope_variance[a:b], start[a:b], width[a:b],
+                window, _SHORT_PX, shift[a:b], u[a:b], measured[a:b], height[a:b],
+            )  # fmt: skip
     scatter, floor = scatter_and_floor(uv, starts, normal, shift, u, noise)
-    return shift, u, measured, height, scatter, floor
+    return shift, u, measured, height, width, scatter, floor
 
 
 @compiled
 @no_type_check
-def subtract_lines(line: np.ndarray, spans: np.ndarray, distance: np.ndarray, level: np.ndarray) -> None:
+def subtract_lines(
+    line: np.ndarray, first: np.ndarray, count: np.ndarray, distance: np.ndarray, level: np.ndarray
+) -> None:
     """Subtract known lines (n, 3) from strips."""
     for i in range(len(line)):
         c0, c1 = np.float32(line[i, 0]), np.float32(line[i, 1])
-        for k in range(spans[i], spans[i + 1]):
+        for k in range(first[i], first[i] + BLOCK * count[i], BLOCK):
             level[k] -= c0 + c1 * distance[k]
 
 
@@ -101,7 +132,8 @@ def clipped_cores(
     hits: np.ndarray,
     start_px: np.ndarray,
     width_px: np.ndarray,
-    spans: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
     distance: np.ndarray,
     clipped: np.ndarray,
 ) -> np.ndarray:
@@ -109,7 +141,7 @@ def clipped_cores(
     saturated = np.zeros(len(hits), np.bool_)
     for i in range(len(hits)):
         if hits[i] > 0:
-            for k in range(spans[i], spans[i + 1]):
+            for k in range(first[i], first[i] + BLOCK * count[i], BLOCK):
                 if clipped[k] and abs(distance[k] - start_px[i]) <= 1.5 * width_px[i]:
                     saturated[i] = True
     return saturated

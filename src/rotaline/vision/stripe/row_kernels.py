@@ -6,12 +6,16 @@ import numpy as np
 
 from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.chain_kernels import window_mean
+from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _UNDECIDED = 0.15  # difference of the normal's components
 _SIDE = 3.0  # widths: the background begins, the window ends
 _LEAST_SIDE = 2  # pixels
 _PASSES = 3
 _ROOT_2PI = np.sqrt(2.0 * np.pi)
+_ZERO, _UNIT = np.float32(0.0), np.float32(1.0)
+_CENTRE, _LIMIT, _LEVEL, _SLOPE = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
+_N, _BELOW, _X1, _X2, _Q, _XQ, _XXQ = (k * BLOCK for k in range(4, 11))
 
 
 @compiled
@@ -80,8 +84,42 @@ def cross_lines(uv: np.ndarray, starts: np.ndarray, width_px: np.ndarray, normal
 
 @compiled
 @no_type_check
+def _add_outside(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> None:
+    """One place of a block of strips: sums for the line through what lies outside the window."""
+    for k in range(BLOCK):
+        x, q = d[k] - s[_CENTRE + k], p[k]
+        use = _UNIT if (abs(x) > s[_LIMIT + k]) & (w[k] > _ZERO) else _ZERO
+        ux = use * x
+        s[_N + k] += use
+        s[_BELOW + k] += use if x < _ZERO else _ZERO
+        s[_X1 + k] += ux
+        s[_X2 + k] += ux * x
+        s[_Q + k] += use * q
+        s[_XQ + k] += ux * q
+
+
+@compiled
+@no_type_check
+def _add_inside(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> None:
+    """One place of a block: moments of the window itself, and of what stands above the line in it."""
+    for k in range(BLOCK):
+        x = d[k] - s[_CENTRE + k]
+        use = _UNIT if (abs(x) <= s[_LIMIT + k]) & (w[k] != _ZERO) else _ZERO
+        q = use * max(p[k] - s[_LEVEL + k] - s[_SLOPE + k] * x, _ZERO)
+        ux, qx = use * x, q * x
+        s[_N + k] += use
+        s[_X1 + k] += ux
+        s[_X2 + k] += ux * x
+        s[_Q + k] += q
+        s[_XQ + k] += qx
+        s[_XXQ + k] += qx * x
+
+
+@compiled
+@no_type_check
 def flat_centroids(
-    spans: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
     distance: np.ndarray,
     level: np.ndarray,
     share: np.ndarray,
@@ -94,54 +132,51 @@ def flat_centroids(
 
     The window follows the result; its ends fall on whole pixels.
 
+    Parameters
+    ----------
+    level : grey values, but for a line that may have been subtracted
+
     Returns
     -------
     shifts, uncertainties for a noise of 1, widths, heights
     """
     n = len(start_px)
     shift, u, wide, high = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    for i in range(n):
-        a, b = spans[i], spans[i + 1]
-        centre, limit = start_px[i], _SIDE * width_px[i]
-        mass, spread = 0.0, 0.0
-        for turn in range(_PASSES + 1):
-            if turn < _PASSES:
-                c = m = 0
-                x1, x2, p1, xp = 0.0, 0.0, 0.0, 0.0
-                for k in range(a, b):
-                    x = distance[k] - centre
-                    if share[k] > 0.0 and abs(x) > limit and not (hits[i] > 0 and clipped[k]):
-                        p = float(level[k])
-                        c += 1
-                        m += x < 0.0
-                        x1 += x
-                        x2 += x * x
-                        p1 += p
-                        xp += x * p
-                mean_x, mean_p = x1 / max(c, 1), p1 / max(c, 1)
-                slope = 0.0
-                if m >= _LEAST_SIDE and c - m >= _LEAST_SIDE:
-                    slope = (xp - mean_x * p1) / max(x2 - c * mean_x * mean_x, 1e-9)
-                ground = mean_p - slope * (mean_x + centre)
-                mass = moment = 0.0
-                for k in range(a, b):
-                    if share[k] > 0.0 and abs(distance[k] - centre) <= limit:
-                        p = max(level[k] - ground - slope * distance[k], 0.0)
-                        mass += p
-                        moment += p * distance[k]
-                last = centre
-                if mass > 0.0:
-                    centre = moment / mass
-            else:
-                near, second = 0.0, 0.0
-                for k in range(a, b):
-                    if share[k] > 0.0 and abs(distance[k] - last) <= limit:
-                        x = distance[k] - centre
-                        near += x * x
-                        second += max(level[k] - ground - slope * distance[k], 0.0) * x * x
-                spread = second / mass
-                u[i] = np.sqrt(near) / mass
-        shift[i] = centre if mass > 0.0 else np.nan
-        wide[i] = np.sqrt(max(spread, 0.1))
-        high[i] = mass / (_ROOT_2PI * wide[i])
+    s = np.zeros(11 * BLOCK, np.float32)
+    for begin in range(0, n, BLOCK):
+        m = min(BLOCK, n - begin)
+        low, end = first[begin], first[begin] + BLOCK * count[begin]
+        for k in range(m):
+            s[_CENTRE + k], s[_LIMIT + k] = start_px[begin + k], _SIDE * width_px[begin + k]
+            if hits[begin + k]:  # clipped pixels say nothing about the background
+                for a in range(low + k, end, BLOCK):
+                    if clipped[a]:
+                        share[a] = -share[a]
+        for _ in range(_PASSES):
+            s[_N:] = _ZERO
+            for a in range(low, end, BLOCK):
+                _add_outside(s, distance[a : a + BLOCK], level[a : a + BLOCK], share[a : a + BLOCK])
+            for k in range(m):
+                c, below, x1 = float(s[_N + k]), float(s[_BELOW + k]), float(s[_X1 + k])
+                mean_x, mean_q, slope = x1 / max(c, 1.0), s[_Q + k] / max(c, 1.0), 0.0
+                if below >= _LEAST_SIDE and c - below >= _LEAST_SIDE:
+                    slope = (s[_XQ + k] - mean_x * s[_Q + k]) / max(s[_X2 + k] - mean_x * x1, 1e-9)
+                s[_LEVEL + k], s[_SLOPE + k] = mean_q - slope * mean_x, slope
+            s[_N:] = _ZERO
+            for a in range(low, end, BLOCK):
+                _add_inside(s, distance[a : a + BLOCK], level[a : a + BLOCK], share[a : a + BLOCK])
+            for k in range(m):
+                i = begin + k
+                mass = float(s[_Q + k])
+                step = s[_XQ + k] / mass if mass > 0.0 else 0.0
+                s[_CENTRE + k] += step
+                near = s[_X2 + k] - 2.0 * step * s[_X1 + k] + step * step * s[_N + k]
+                shift[i] = s[_CENTRE + k] if mass > 0.0 else np.nan
+                u[i] = np.sqrt(max(near, 0.0)) / mass
+                wide[i] = np.sqrt(max(s[_XXQ + k] / mass - step * step, 0.1))
+                high[i] = mass / (_ROOT_2PI * wide[i])
+        for k in range(m):
+            if hits[begin + k]:
+                for a in range(low + k, end, BLOCK):
+                    share[a] = abs(share[a])
     return shift, u, wide, high

@@ -100,35 +100,35 @@ def _descending(values: np.ndarray) -> np.ndarray:
 @compiled
 @no_type_check
 def median(values: np.ndarray) -> float:
-    """Median, by Hoare's selection in a copy of the values; of an even number of them the mean of the two in the middle."""
-    n = len(values)
-    rest = values.copy()
-    middle = n // 2
-    low, high = 0, n - 1
-    while low < high:
-        pivot = rest[(low + high) // 2]
-        i, j = low, high
-        while i <= j:
-            while rest[i] < pivot:
-                i += 1
-            while rest[j] > pivot:
-                j -= 1
-            if i <= j:
-                rest[i], rest[j] = rest[j], rest[i]
-                i += 1
-                j -= 1
-        if middle <= j:
-            high = j
-        elif middle >= i:
-            low = i
-        else:
+    """Median, to a millionth of the range of the values, by bisection; of an even number of them the mean of the two in the middle."""
+    low, high = values[0], values[0]
+    for k in range(len(values)):
+        low, high = min(low, values[k]), max(high, values[k])
+    most = high
+    least = np.float32(1e-6) * (high - low)
+    while high - low > least:
+        middle = np.float32(0.5) * (low + high)
+        if not low < middle < high:
             break
-    if n % 2 == 1:
-        return float(rest[middle])
-    below = rest[0]
-    for k in range(middle):
-        below = max(below, rest[k])
-    return 0.5 * (float(below) + float(rest[middle]))
+        n = np.int32(0)
+        for k in range(len(values)):
+            n += np.int32(values[k] < middle)
+        if 2 * n > len(values):
+            high = middle
+        else:
+            low = middle
+    if len(values) % 2 == 1:
+        return float(np.float32(0.5) * (low + high))
+    upper = most
+    for k in range(len(values)):
+        upper = min(upper, values[k] if values[k] >= low else most)
+    n, lower = np.int32(0), values[0]
+    for k in range(len(values)):
+        lower = min(lower, values[k])
+    for k in range(len(values)):
+        n += np.int32(values[k] < upper)
+        lower = max(lower, values[k] if values[k] < upper else lower)
+    return float(upper) if 2 * n < len(values) else 0.5 * (float(lower) + float(upper))
 
 
 @compiled
@@ -217,16 +217,16 @@ def _paint(
     k = begin
     if factor == 1 and last - first == end - begin:  # the usual case, without gaps
         for k in range(begin, end):
-            paint_across(field, line[k], place[k] - half, place[k] + half, steep, value)
+            _paint_across(field, line[k], place[k] - half, place[k] + half, steep, value)
         return
     for at in range(first, last):
         middle, k = _middle(line, place, k, end, factor, at)
-        paint_across(field, at, middle - half, middle + half, steep, value)
+        _paint_across(field, at, middle - half, middle + half, steep, value)
 
 
 @compiled
 @no_type_check
-def paint_across(field: np.ndarray, at: int, low: int, high: int, steep: bool, value: int) -> None:
+def _paint_across(field: np.ndarray, at: int, low: int, high: int, steep: bool, value: int) -> None:
     """Set the pixels from low to high of one row (steep) or column."""
     line = np.uint64(at)  # unsigned numbers never count from the end, which makes faster loops
     if steep:

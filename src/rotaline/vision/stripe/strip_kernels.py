@@ -1,8 +1,9 @@
 """The pixels of an image in strips across the stripe, and what is read from them directly: the only kernels that see the image.
 
-A strip is that of :func:`rotaline.vision.stripe.plain.strips.pixel_strips`. Point i has the places ``spans[i]`` to ``spans[i + 1]``: first those of the
-lower neighbours of the pixels nearest to the normal, line by line, then those of the nearest pixels, then those of the upper neighbours. So
-the sums over a strip run over full vectors; places that hold no pixel have a share of 0.
+A strip is that of :func:`rotaline.vision.stripe.plain.strips.pixel_strips`. Its places go line by line, on each line the lower neighbour of the pixel
+nearest to the normal, that pixel, the upper neighbour; the line nearest to the point is in the middle. ``BLOCK`` points stand side by side:
+place k of point i is ``first[i] + BLOCK * k``, so that sums over strips are made for many points at once, in full vectors. All points of a block
+have as many places; those that hold no pixel have a share of 0, and so have the places of the points that the last block lacks.
 """
 
 from typing import no_type_check
@@ -11,25 +12,53 @@ import numpy as np
 
 from rotaline.geometry.compiled import compiled
 
+BLOCK = 64  # points
 _TIE = 1e-6  # px; so that rounding errors do not decide which pixels are taken
-_VECTOR = 8  # places that are worked on at once
 _F = np.float32
 _ZERO, _ONE, _LEAST = _F(0.0), _F(1.0), _F(1e-5)
-_ROUND, _OFFSET = _F(1024.5), 1024  # rounding by cutting off works for positive numbers
+_ROUND, _OFFSET = _F(1024.5), np.int32(1024)  # rounding by cutting off works for positive numbers
+_X, _FRACTION, _SLOPE, _COSINE, _SINE, _REACH = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK
 
 
 @compiled
 @no_type_check
-def strip_places(normal: np.ndarray, half_length_px: np.ndarray, lanes: int) -> np.ndarray:
-    """Where the places of each strip start, (n + 1,): ``lanes`` times as many as it crosses lines, rounded up to full vectors."""
+def strip_places(normal: np.ndarray, half_length_px: np.ndarray, lanes: int) -> tuple:
+    """First place and number of places of each strip, (n,) each; number of all places."""
     n = len(normal)
-    spans = np.empty(n + 1, np.int64)
-    spans[0] = 0
-    for i in range(n):
-        steep = max(abs(normal[i, 0]), abs(normal[i, 1]))
-        lines = 2 * int(half_length_px[i] * steep + 1.0) + 1
-        spans[i + 1] = spans[i] + lanes * _VECTOR * ((lines + _VECTOR - 1) // _VECTOR)
-    return spans
+    first, count = np.empty(n, np.int64), np.empty(n, np.int64)
+    total = 0
+    for begin in range(0, n, BLOCK):
+        end = min(begin + BLOCK, n)
+        steps = 0
+        for i in range(begin, end):
+            steep = max(abs(normal[i, 0]), abs(normal[i, 1]))
+            steps = max(steps, int((half_length_px[i] + _TIE) * steep + 1.0))
+        for i in range(begin, end):
+            first[i], count[i] = total + i - begin, lanes * (2 * steps + 1)
+        total += BLOCK * lanes * (2 * steps + 1)
+    return first, count, total
+
+
+@compiled
+@no_type_check
+def _shares(form: np.ndarray, line: float, lanes: int, nearest: np.ndarray, d: np.ndarray, w: np.ndarray) -> None:
+    """Nearest pixels, distances and weights on one line of a block."""
+    for k in range(BLOCK):
+        x, c, s, reach = form[_X + k] + line, form[_COSINE + k], form[_SINE + k], form[_REACH + k]
+        pixel = np.int32(form[_FRACTION + k] + x * form[_SLOPE + k] + _ROUND) - _OFFSET
+        y = _F(pixel) - form[_FRACTION + k]
+        along, t = x * c + y * s, y * c - x * s
+        nearest[k] = pixel
+        if lanes == 1:
+            d[k] = along
+            w[k] = _ONE if abs(along) <= reach else _ZERO
+        else:
+            p, q, r = _ONE - abs(t - c), _ONE - abs(t), _ONE - abs(t + c)
+            below, above = along - s, along + s
+            d[k], d[k + BLOCK], d[k + 2 * BLOCK] = below, along, above
+            w[k] = p if (p > _LEAST) & (abs(below) <= reach) else _ZERO
+            w[k + BLOCK] = q if (q > _LEAST) & (abs(along) <= reach) else _ZERO
+            w[k + 2 * BLOCK] = r if (r > _LEAST) & (abs(above) <= reach) else _ZERO
 
 
 @compiled
@@ -44,7 +73,8 @@ def read_strips(
     normal: np.ndarray,
     half_length_px: np.ndarray,
     lanes: int,
-    spans: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
     distance: np.ndarray,
     level: np.ndarray,
     share: np.ndarray,
@@ -61,87 +91,88 @@ def read_strips(
     size : (width, height)
     half_length_px : (n,)   half length of the strip
     lanes : 3, or 1 for one pixel a line, that nearest to the normal, with a share of 1
-    spans : (n + 1,)   of :func:`strip_places`
+    first, count : (n,)   of :func:`strip_places`
     distance, level, share : out   from the point along its normal, px; grey value; weight, 0 in an empty place
     clipped : out   the pixel is clipped; written only for points with ``hits``
     hits : (n,) out   number of clipped pixels
     """
     top = _F(limit)
-    for i in range(len(uv)):
-        across = abs(normal[i, 0]) >= abs(normal[i, 1])
-        if across:
-            at, along, n_at, n_along = uv[i, 0], uv[i, 1], normal[i, 0], normal[i, 1]
-            top_line, top_place, line_stride, place_stride = size[0] - 1, size[1] - 1, 1, size[0]
-        else:
-            at, along, n_at, n_along = uv[i, 1], uv[i, 0], normal[i, 1], normal[i, 0]
-            top_line, top_place, line_stride, place_stride = size[1] - 1, size[0] - 1, size[0], 1
-        first = int(np.floor(at + 0.5 - _TIE))
-        steps = int((half_length_px[i] + _TIE) * abs(n_at) + 1.0)
-        low, high = max(first - steps, 0), min(first + steps, top_line)
-        lines, count = max(high - low + 1, 0), (spans[i + 1] - spans[i]) // lanes
-        base = int(np.floor(along))
-        x0, f0, slope = _F(low - at), _F(along - base), _F(n_along / n_at)
-        c, s, reach = _F(n_at), _F(n_along), _F(half_length_px[i] + _TIE)
-        one = base + int(np.floor((low - at) * n_along / n_at + 0.5))
-        other = base + int(np.floor((high - at) * n_along / n_at + 0.5))
-        inside = min(one, other) > 1 and max(one, other) < top_place - 1
-        start = low * line_stride + base * place_stride
-        below = spans[i]
-        middle = below + (count if lanes == 3 else 0)
-        above = middle + (count if lanes == 3 else 0)
-        most = _ZERO
-        found = 0
-        for k in range(lines):
-            x = x0 + _F(k)
-            nearest = np.int64(f0 + x * slope + _ROUND) - _OFFSET
-            y = _F(nearest) - f0
-            d, t = x * c + y * s, y * c - x * s
-            pixel = start + k * line_stride + nearest * place_stride
-            if lanes == 1:
-                distance[middle + k] = d
-                if inside or 0 <= base + nearest <= top_place:
-                    v = _F(value[np.uint64(pixel)])
-                    level[middle + k], share[middle + k] = v, _ONE if abs(d) <= reach else _ZERO
-                    most = max(most, v)
-                else:
-                    level[middle + k], share[middle + k] = _ZERO, _ZERO
-                continue
-            p, q, r = _ONE - abs(t - c), _ONE - abs(t), _ONE - abs(t + c)
-            distance[below + k], distance[middle + k], distance[above + k] = d - s, d, d + s
-            share[below + k] = p if (p > _LEAST) & (abs(d - s) <= reach) else _ZERO
-            share[middle + k] = q if (q > _LEAST) & (abs(d) <= reach) else _ZERO
-            share[above + k] = r if (r > _LEAST) & (abs(d + s) <= reach) else _ZERO
-            if inside:
-                u, v, w = (
-                    value[np.uint64(pixel - place_stride)],
-                    value[np.uint64(pixel)],
-                    value[np.uint64(pixel + place_stride)],
-                )
-                level[below + k], level[middle + k], level[above + k] = _F(u), _F(v), _F(w)
-                most = max(most, max(_F(u), max(_F(v), _F(w))))
+    form, nearest = np.zeros(6 * BLOCK, _F), np.zeros(BLOCK, np.int32)
+    origin, line_stride, place_stride = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    low, high, last_place = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    bases, inside = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.bool_)
+    for begin in range(0, len(uv), BLOCK):
+        m, lines = min(BLOCK, len(uv) - begin), count[begin] // lanes
+        steps = lines // 2
+        for k in range(BLOCK):
+            i = min(begin + k, len(uv) - 1)
+            if abs(normal[i, 0]) >= abs(normal[i, 1]):
+                at, along, n_at, n_along = uv[i, 0], uv[i, 1], normal[i, 0], normal[i, 1]
+                last_line, last_place[k], line_stride[k], place_stride[k] = size[0] - 1, size[1] - 1, 1, size[0]
             else:
-                for j in range(-1, 2):
-                    place, there = base + nearest + j, middle + j * count + k
-                    level[there] = _ZERO
-                    if 0 <= place <= top_place:
-                        level[there] = value[np.uint64(pixel + j * place_stride)]
-                        most = max(most, level[there])
-                    else:
-                        share[there] = _ZERO
-        for lane in range(lanes):
-            for k in range(below + lane * count + lines, below + (lane + 1) * count):
-                distance[k], level[k], share[k] = _ZERO, _ZERO, _ZERO
+                at, along, n_at, n_along = uv[i, 1], uv[i, 0], normal[i, 1], normal[i, 0]
+                last_line, last_place[k], line_stride[k], place_stride[k] = size[1] - 1, size[0] - 1, size[0], 1
+            middle, base = int(np.floor(at + 0.5 - _TIE)), int(np.floor(along))
+            slope = n_along / n_at
+            one = along + (middle - steps - at) * slope
+            other = along + (middle + steps - at) * slope
+            low[k], high[k], bases[k] = steps - middle, steps - middle + last_line, base
+            inside[k] = (
+                low[k] <= 0
+                and high[k] >= lines - 1
+                and min(one, other) >= 2.0
+                and max(one, other) < last_place[k] - 2.0
+            )
+            origin[k] = (middle - steps) * line_stride[k] + base * place_stride[k]
+            form[_X + k], form[_FRACTION + k], form[_SLOPE + k] = middle - steps - at, along - base, slope
+            form[_COSINE + k], form[_SINE + k] = n_at, n_along
+            form[_REACH + k] = half_length_px[i] + _TIE if k < m else -1.0
+        most = _ZERO
+        for line in range(lines):
+            row = first[begin] + line * lanes * BLOCK
+            d, p, w = (
+                distance[row : row + lanes * BLOCK],
+                level[row : row + lanes * BLOCK],
+                share[row : row + lanes * BLOCK],
+            )
+            _shares(form, _F(line), lanes, nearest, d, w)
+            for k in range(BLOCK):
+                pixel = origin[k] + line * line_stride[k] + nearest[k] * place_stride[k]
+                if not inside[k]:
+                    for lane in range(lanes):
+                        place = bases[k] + nearest[k] + lane - lanes // 2
+                        there = k + lane * BLOCK
+                        p[there] = _ZERO
+                        if low[k] <= line <= high[k] and 0 <= place <= last_place[k]:
+                            p[there] = value[np.uint64(pixel + (lane - lanes // 2) * place_stride[k])]
+                            most = max(most, p[there])
+                        else:
+                            w[there] = _ZERO
+                elif lanes == 1:
+                    q = _F(value[np.uint64(pixel)])
+                    p[k] = q
+                    most = max(most, q)
+                else:
+                    a = _F(value[np.uint64(pixel - place_stride[k])])
+                    b = _F(value[np.uint64(pixel)])
+                    c = _F(value[np.uint64(pixel + place_stride[k])])
+                    p[k], p[k + BLOCK], p[k + 2 * BLOCK] = a, b, c
+                    most = max(most, max(a, max(b, c)))
+        hits[begin : begin + m] = 0
         if subtracted or most >= top:
-            for lane in range(lanes):
-                for k in range(count):
-                    there = below + lane * count + k
-                    hit = False
-                    if share[there] > _ZERO:
-                        nearest = np.int64(f0 + (x0 + _F(k)) * slope + _ROUND) - _OFFSET + lane - lanes // 2
-                        hit = source[np.uint64(start + k * line_stride + nearest * place_stride)] >= limit
-                    clipped[there] = hit
-                    found += hit
-        hits[i] = found
+            for line in range(lines):
+                row = first[begin] + line * lanes * BLOCK
+                for k in range(m):
+                    x = form[_X + k] + _F(line)
+                    place = np.int32(form[_FRACTION + k] + x * form[_SLOPE + k] + _ROUND) - _OFFSET - lanes // 2
+                    for lane in range(lanes):
+                        there = row + lane * BLOCK + k
+                        hit = False
+                        if share[there] > _ZERO:
+                            pixel = origin[k] + line * line_stride[k] + (place + lane) * place_stride[k]
+                            hit = source[np.uint64(pixel)] >= limit
+                        clipped[there] = hit
+                        hits[begin + k] += hit
 
 
 @compiled

@@ -6,16 +6,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from rotaline.vision.stripe.plane import Plane
-from rotaline.vision.stripe.strip_kernels import read_strips, strip_places
+from rotaline.vision.stripe.strip_kernels import BLOCK, read_strips, strip_places
 
 
 @dataclass(frozen=True, eq=False)
 class Strips:
-    """Strips of pixels across n points, all in m places.
+    """Strips of pixels across n points, all in m places; those of a point are ``BLOCK`` apart.
 
     Attributes
     ----------
-    spans : (n + 1,)   where the places of each strip start
+    first, count : (n,)   first place of each strip and how many it has
     distance : (m,)   from the point along its normal, px
     level : (m,)   grey value
     share : (m,)   weight: the less, the further along the stripe; 0 in places that hold no pixel
@@ -23,7 +23,8 @@ class Strips:
     hits : (n,)   number of clipped pixels
     """
 
-    spans: Int[np.ndarray, " n1"]
+    first: Int[np.ndarray, " n"]
+    count: Int[np.ndarray, " n"]
     distance: Float32[np.ndarray, " m"]
     level: Float32[np.ndarray, " m"]
     share: Float32[np.ndarray, " m"]
@@ -32,10 +33,10 @@ class Strips:
 
     def places(self, points: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
         """The places of the strips of some points, and which of these points each belongs to."""
-        count = np.diff(self.spans)[points]
+        count = self.count[points]
         strip = np.repeat(np.arange(len(points)), count)
-        first = np.cumsum(count) - count
-        return self.spans[points][strip] + np.arange(len(strip)) - first[strip], strip
+        before = np.cumsum(count) - count
+        return self.first[points][strip] + BLOCK * (np.arange(len(strip)) - before[strip]), strip
 
 
 def strips_of(
@@ -46,25 +47,11 @@ def strips_of(
     lanes: int = 3,
 ) -> Strips:
     """Strips to ``half_length_px`` on both sides; with one lane of one pixel a line, that nearest to the normal."""
-    spans = strip_places(normal, half_length_px, lanes)
-    m = int(spans[-1])
+    first, count, m = strip_places(normal, half_length_px, lanes)
     distance, level, share = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.float32)
     clipped, hits = np.empty(m, dtype=bool), np.empty(len(uv), dtype=np.int64)
     read_strips(
-        plane.flat,
-        plane.source.reshape(-1),
-        plane.value is not plane.source,
-        float(plane.limit),
-        plane.size,
-        uv,
-        normal,
-        half_length_px,
-        lanes,
-        spans,
-        distance,
-        level,
-        share,
-        clipped,
-        hits,
-    )
-    return Strips(spans, distance, level, share, clipped, hits)
+        plane.flat, plane.source.reshape(-1), plane.value is not plane.source, float(plane.limit), plane.size, uv, normal,
+        half_length_px, lanes, first, count, distance, level, share, clipped, hits,
+    )  # fmt: skip
+    return Strips(first, count, distance, level, share, clipped, hits)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from rotaline.vision.stripe.chain_kernels import window_mean
 from rotaline.vision.stripe.found import FoundStripe
 from rotaline.vision.stripe.plane import Plane
 from rotaline.vision.stripe.strips import strips_of
@@ -36,36 +35,32 @@ class Trace:
         """Chain of each point."""
         return np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts))
 
-    def mean_along(self, values: Float[np.ndarray, " n"], half_window: int) -> Float[np.ndarray, " n"]:
-        """Mean of a value over the neighbours of each point in its chain."""
-        out = np.empty(len(values))
-        window_mean(values, self.starts, half_window, out)
-        return out
-
 
 def trace_stripe(found: FoundStripe, plane: Plane, least: int) -> Trace | None:
     """Follow the chains at full resolution; None where no piece of ``least`` points is left.
 
     The pixels along the normals are taken, one a line of the image, the points moved to the centroids, the chains broken where the
-    centres jump, and the points spaced equally again. Where there is more than one chain then, or the stripe is wider than it was
-    thought to be, all this is done once more.
+    centres jump and joined across gaps, and the points spaced equally again. Where there is more than one chain then, or the stripe is wider than
+    it was thought to be, all this is done once more.
     """
     if len(found.uv) == 0:
         return None
     uv, starts, width, normal = begin(found.uv, found.chain, found.scale_px)
     if (found.scale_px > 1.0).any():
         p = strips_of(plane, uv, normal, 3.0 * width, 1)
-        uv, starts, width, normal = half_maximum(uv, starts, width, normal, p.spans, p.distance, p.level, p.share)
+        uv, starts, width, normal = half_maximum(
+            uv, starts, width, normal, p.first, p.count, p.distance, p.level, p.share
+        )
     for last in (False, True):
         if len(uv) == 0:
             return None
         p = strips_of(plane, uv, normal, 3.5 * width + 3.0, 1)
         widest = width.max()
         uv, starts, width, normal = follow(
-            uv, starts, width, normal, p.spans, p.distance, p.level, p.share, p.clipped, p.hits,
+            uv, starts, width, normal, p.first, p.count, p.distance, p.level, p.share, p.clipped, p.hits,
             least if last else max(SHORTEST, least // 2), not last,
         )  # fmt: skip
-        if len(starts) == 2 and width.max() <= _WIDER * widest:
+        if width.max() <= _WIDER * widest and len(starts) == 2:
             break
     uv, starts, width, normal = long_chains(uv, starts, width, normal, least)
     return Trace(uv, starts, width, normal) if len(uv) else None

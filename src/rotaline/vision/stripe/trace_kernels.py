@@ -16,10 +16,11 @@ from rotaline.vision.stripe.chain_kernels import (
     window_mean,
     window_median,
 )
+from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _WINDOW = 6  # points on either side that settle the direction
 _ROUGH_PX, _FINE_PX = 0.3, 0.05  # misfit of a line that is not worth a one-sided window
-_SHORT_PX = 0.02  # a centre is settled when it moves by less
+_SHORT_PX = 0.02  # a step is the last when it is shorter
 _JOIN_PX = 9.0
 _BOTH_SIDES = 0.2  # least fall to the higher side, part of the fall to the lower side
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.4, 20.0
@@ -64,7 +65,8 @@ def half_maximum(
     starts: np.ndarray,
     width_px: np.ndarray,
     normal: np.ndarray,
-    spans: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
     distance: np.ndarray,
     level: np.ndarray,
     share: np.ndarray,
@@ -83,33 +85,35 @@ def half_maximum(
     for i in range(n):
         if width_px[i] <= 1.5:
             continue
-        a, b = spans[i], spans[i + 1]
-        while b > a and share[b - 1] == 0.0:
+        a, b = 0, count[i]
+        own = slice(first[i], first[i] + BLOCK * count[i], BLOCK)
+        place, value, there = distance[own], level[own], share[own]
+        while b > a and there[b - 1] == 0.0:
             b -= 1
-        while a < b and share[a] == 0.0:
+        while a < b and there[a] == 0.0:
             a += 1
         stands[i] = 0.0
         top = -1
         for k in range(a, b):
-            if abs(distance[k]) <= 0.8 * width_px[i] and (top < 0 or level[k] > level[top]):
+            if abs(place[k]) <= 0.8 * width_px[i] and (top < 0 or value[k] > value[top]):
                 top = k
         if top < 0:
             continue
-        peak = left = right = level[top]
+        peak = left = right = value[top]
         for k in range(a, top):
-            left = min(left, level[k])
+            left = min(left, value[k])
         for k in range(top + 1, b):
-            right = min(right, level[k])
+            right = min(right, value[k])
         base = max(left, right)
         if peak - base > _BOTH_SIDES * (peak - min(left, right)):
             stands[i] = 1.0
         half = 0.5 * (float(peak) + float(base))
         low = high = top
-        while low > a and level[low - 1] > half:
+        while low > a and value[low - 1] > half:
             low -= 1
-        while high < b - 1 and level[high + 1] > half:
+        while high < b - 1 and value[high + 1] > half:
             high += 1
-        shift[i] = 0.5 * (distance[low] + distance[high])
+        shift[i] = 0.5 * (place[low] + place[high])
         full[i] = (high - low + 1) / max(abs(normal[i, 0]), abs(normal[i, 1]))
     moved, width, edges = np.empty_like(uv), np.empty(n), np.empty(len(starts), np.int64)
     mean = np.empty(n)
@@ -140,7 +144,8 @@ def follow(
     starts: np.ndarray,
     width_px: np.ndarray,
     normal: np.ndarray,
-    spans: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
     distance: np.ndarray,
     level: np.ndarray,
     share: np.ndarray,
@@ -157,12 +162,13 @@ def follow(
     """
     n = len(uv)
     line, sides = np.empty((n, 3)), np.empty((n, 2))
-    subtract_sides(spans, distance, level, share, clipped, hits, width_px, line, sides)
+    subtract_sides(first, count, distance, level, share, clipped, hits, width_px, line, sides)
     shift, measured, good = np.empty(n), np.empty(n), np.empty(n, np.bool_)
-    u, height = np.empty(n), np.empty(n)
+    height = np.empty(n)
     weighted_centroids(
-        spans, distance, level, share, line[:, 2], np.zeros(n), width_px, 1.0, _SHORT_PX, shift, u, measured, height
-    )
+        first, count, 1, distance, level, share, line[:, 2], np.zeros(n), width_px, 1.0, _SHORT_PX, shift, np.empty(0),
+        measured, height,
+    )  # fmt: skip
     for i in range(n):
         good[i] = abs(shift[i]) <= 1.5 * width_px[i] + 1.0
         measured[i] = min(max(measured[i], _LEAST_WIDTH_PX), _MOST_WIDTH_PX) if good[i] else width_px[i]

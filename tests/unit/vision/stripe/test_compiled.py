@@ -21,6 +21,7 @@ from rotaline.vision.stripe.plain.extract import extract_stripe_plain
 from rotaline.vision.stripe.plain.strips import pixel_strips
 from rotaline.vision.stripe.plane import Plane
 from rotaline.vision.stripe.profiles import sample_profiles
+from rotaline.vision.stripe.strip_kernels import BLOCK
 from rotaline.vision.stripe.strips import strips_of
 from rotaline.vision.stripe.uncertainty_kernels import scatter_and_floor
 
@@ -48,7 +49,7 @@ def test_a_strip_has_the_same_pixels(angle_deg, kind):
     plain = pixel_strips(image.astype(np.float32), source >= plane.limit, uv, normal, reach)
     strips = strips_of(plane, uv, normal, reach)
     for i in range(40):
-        own = slice(strips.spans[i], strips.spans[i + 1])
+        own = slice(strips.first[i], strips.first[i] + BLOCK * strips.count[i], BLOCK)
         used, expected = strips.share[own] > 1e-4, plain.valid[i] & (plain.weight[i] > 1e-4)
         order, other = np.argsort(strips.distance[own][used]), np.argsort(plain.offset_px[i][expected])
         np.testing.assert_allclose(strips.distance[own][used][order], plain.offset_px[i][expected][other], atol=1e-4)
@@ -76,7 +77,7 @@ def test_the_centroid_is_the_fixed_point_of_the_plain_one(sigma_px, window):
     shift, u, measured, height = (np.empty(n) for _ in range(4))
     level = strips.level - np.float32(scene.background)
     weighted_centroids(
-        strips.spans, strips.distance, level, strips.share, slope, start, width, window, 1e-3, shift, u, measured,
+        strips.first, strips.count, 3, strips.distance, level, strips.share, slope, start, width, window, 1e-3, shift, u, measured,
         height,
     )  # fmt: skip
     assert np.abs(shift - expected.shift_px).max() < 2e-2 * np.median(2.0 * expected.u_px)
@@ -93,7 +94,7 @@ def test_the_sides_give_the_background():
     strips = strips_of(Plane(image, image), uv, normal, np.array([12.0]))
     line, sides = np.empty((1, 3)), np.empty((1, 2))
     subtract_sides(
-        strips.spans, strips.distance, strips.level, strips.share, strips.clipped, strips.hits, np.array([2.0]), line,
+        strips.first, strips.count, strips.distance, strips.level, strips.share, strips.clipped, strips.hits, np.array([2.0]), line,
         sides,
     )  # fmt: skip
     assert line[0, 0] == pytest.approx(9000.0 + 40.0 * 40.3 - 25.0 * 41.7, abs=3.0)
@@ -114,7 +115,7 @@ def test_the_fit_is_the_plain_fit(fit_background):
     expected = plain_centres.fit_gaussian(plain, zero, start, width, height, fit_background)
     s = strips_of(Plane(image, image), uv, normal, reach)
     shift, u, wide, high = fit_gaussians(
-        s.spans, s.distance, s.level, s.share, s.clipped, s.hits, start, width, height, fit_background
+        s.first, s.count, s.distance, s.level, s.share, s.clipped, s.hits, start, width, height, fit_background
     )
     np.testing.assert_allclose(shift, expected.shift_px, atol=1e-4)
     np.testing.assert_allclose(u, expected.u_px, rtol=1e-3)

@@ -9,7 +9,9 @@ from scipy.spatial import KDTree
 from rotaline.vision.stripe import find as find_module
 from rotaline.vision.stripe.find import find, find_chains
 from rotaline.vision.stripe.options import StripeOptions
+from rotaline.vision.stripe.settle_kernels import median
 from rotaline.vision.stripe.signal import find_stripe, split_frame
+from rotaline.vision.stripe.tile_kernels import sweep
 
 SHAPE = (240, 320)
 V, U = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
@@ -117,6 +119,45 @@ def test_faint_stripes_in_any_noise(noise, height, sigma):
         found, expected = found + on[0].sum(), expected + on[1].sum()
     assert expected > 60
     assert found >= 0.97 * expected
+
+
+@pytest.mark.parametrize("dark", [0.0, 8.0, 20.0])
+@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0, 4.0])
+def test_the_noise_of_a_camera_changes_nothing(noise, dark):
+    for seed, (name, height) in enumerate(
+        [("vertical", 0.35), ("horizontal", 0.35), ("between", 1.0), ("curved", 2.8)]
+    ):
+        image = camera(height * STRIPES[name], noise, seed, dark=dark)
+        expected, crowded = plain(image)
+        stripe, _ = find(image, None, OPTIONS)
+        assert stripe.crowded == crowded
+        assert min(shares(stripe.uv, expected)) >= 0.97
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("size", [(48, 64), (37, 53), (7, 7), (17, 33)])
+def test_the_sweep_sees_every_pair_of_rows(dtype, size):
+    image = np.random.default_rng(7).uniform(0, 255, size).astype(dtype)
+    h, w = size
+    rows, columns = -(-h // 16), -(-w // 16)
+    tops, lows = np.empty((2, rows, columns), dtype=np.float32)
+    sweep(image.view(np.uint8), image.itemsize, tops, lows)
+    whole = np.vstack([image, image[-1:]]).astype(float)  # the last row stands for one that is missing
+    means = 0.25 * (whole[:-1:2, :-1] + whole[:-1:2, 1:] + whole[1::2, :-1] + whole[1::2, 1:])
+    means = np.pad(means, ((0, 0), (0, 16 * columns - means.shape[1])), mode="edge")
+    for a in range(rows):
+        highest = means[8 * a : 8 * a + 8].max(axis=0).reshape(columns, 16)
+        assert np.allclose(tops[a], highest.max(axis=1), rtol=1e-6)
+        assert np.allclose(lows[a], highest[:, ::4].min(axis=1), rtol=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 6, 801])
+def test_median(n):
+    values = np.random.default_rng(n).normal(3.0, 2.0, n).astype(np.float32)
+    assert np.isclose(median(values), np.median(values), rtol=0.0, atol=1e-4)
+    values[n // 2 :] += 100.0  # two groups: what lies between them matters
+    assert np.isclose(median(values), np.median(values), rtol=0.0, atol=1e-3)
+    assert median(np.full(n, 2.5, dtype=np.float32)) == 2.5
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3, 1.0, 4.0])
