@@ -56,7 +56,7 @@ def main(argv: list[str] | None = None) -> int:
     except Exception as error:
         if type(error).__module__.startswith(("click", "typer")):
             message = getattr(error, "format_message", lambda: str(error))()
-            return _fail(f"{message} See `rotaline --help`.", BAD_INPUT)
+            return _fail(f"{message.rstrip('.')}. See `rotaline --help`.", BAD_INPUT)
         logging.getLogger("rotaline").exception("unexpected error")
         return _fail(
             f"unexpected error ({type(error).__name__}: {error}). This is a defect of the program: please report it "

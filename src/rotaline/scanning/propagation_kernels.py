@@ -8,7 +8,7 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.camera_kernels import TILE
+from rotaline.vision.camera_kernels import TILE, distortion
 
 _ROWS = 26
 
@@ -65,16 +65,12 @@ def sum_moves(
                 z = tile[2, j]
                 x, y = tile[0, j] / z, tile[1, j] / z
                 r2 = x * x + y * y
-                radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-                slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-                xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-                xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-                yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+                x_d, y_d, xx, xy, yy = distortion(x, y, k1, k2, p1, p2, k3)
                 tile[3, j] = x
                 tile[4, j] = y
                 tile[5, j] = r2
-                tile[6, j] = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-                tile[7, j] = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+                tile[6, j] = x_d
+                tile[7, j] = y_d
                 tile[8, j] = 2.0 * x * y
                 tile[9, j] = r2 + 2.0 * x * x
                 tile[10, j] = r2 + 2.0 * y * y

@@ -8,7 +8,7 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.camera_kernels import TILE, undistort_tile
+from rotaline.vision.camera_kernels import TILE, distortion, undistort_tile
 
 _NEWTON_STEPS = 4
 _ROWS = 12
@@ -81,12 +81,7 @@ def meet_sheet(
             gx = nx + slope_u * ax + slope_v * bx
             gy = ny + slope_u * ay + slope_v * by
             gz = nz + slope_u * az + slope_v * bz
-            r2 = x * x + y * y
-            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-            xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-            xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-            yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+            _, _, xx, xy, yy = distortion(x, y, k1, k2, p1, p2, k3)
             scale = s * tile[10, j] / (xx * yy - xy * xy)
             dx = scale * (yy * tile[8, j] - xy * tile[9, j])
             dy = scale * (xx * tile[9, j] - xy * tile[8, j])

@@ -21,6 +21,22 @@ _ROWS = 5
 
 @compiled
 @no_type_check
+def distortion(x: float, y: float, k1: float, k2: float, p1: float, p2: float, k3: float) -> tuple:
+    """Distorted normalised coordinates of an ideal point, and their derivatives dx/dx, dx/dy = dy/dx, dy/dy: eq. (2) of the camera model."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
+        slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y,
+        radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
+    )
+
+
+@compiled
+@no_type_check
 def undistort_tile(tile: np.ndarray, k1: float, k2: float, p1: float, p2: float, k3: float) -> None:
     """Distorted to ideal normalised coordinates: rows 0, 1 of ``tile`` (5 or more, ``TILE``) to rows 2, 3; row 4 is used.
 
@@ -34,14 +50,8 @@ def undistort_tile(tile: np.ndarray, k1: float, k2: float, p1: float, p2: float,
         n_moving = 0.0
         for j in range(TILE):
             x, y = tile[2, j], tile[3, j]
-            r2 = x * x + y * y
-            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-            xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-            xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-            yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-            off_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - tile[0, j]
-            off_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - tile[1, j]
+            x_d, y_d, xx, xy, yy = distortion(x, y, k1, k2, p1, p2, k3)
+            off_x, off_y = x_d - tile[0, j], y_d - tile[1, j]
             inverse = 1.0 / (xx * yy - xy * xy)
             step_x = (yy * off_x - xy * off_y) * inverse
             step_y = (xx * off_y - xy * off_x) * inverse
@@ -55,14 +65,8 @@ def undistort_tile(tile: np.ndarray, k1: float, k2: float, p1: float, p2: float,
             break
     for j in range(TILE):
         x, y = tile[2, j], tile[3, j]
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-        xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-        yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-        off_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - tile[0, j]
-        off_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - tile[1, j]
+        x_d, y_d, xx, xy, yy = distortion(x, y, k1, k2, p1, p2, k3)
+        off_x, off_y = x_d - tile[0, j], y_d - tile[1, j]
         right = off_x * off_x + off_y * off_y <= _WRONG * _WRONG
         # the branch that holds the optical axis: distortion stretches, it does not fold or mirror
         right = right and xx * yy - xy * xy > 0.0 and xx + yy > 0.0

@@ -168,7 +168,8 @@ def _quantities(
 
 def _words(found: JointCalibration, quantity: str, u: float, unit_name: str) -> tuple[str, str]:
     """What it means and what to do about it."""
-    size = {"mm": f"{u * 1e3:.2g} um", "rad": f"{u * 1e6:.2g} urad", "relative": f"{u * 1e6:.2g} ppm"}[unit_name]
+    factor, unit = {"mm": (1e3, "um"), "rad": (1e6, "urad"), "relative": (1e6, "ppm")}[unit_name]
+    size = f"{float(f'{u * factor:.2g}'):g} {unit}"
     cylinders = [m for m in found.mounts if not isinstance(m.artifact, KnownSphere)]
     if quantity.startswith(("axis position", "lean")):
         subject = (

@@ -124,7 +124,9 @@ def _scan(evidence: Evidence, scale: Scale, u_point: float, judged: Sequence[Jud
     if joint is not None:
         for weak in joint.weak_directions:
             if weak.unit == "mm" and weak.u > 5 * scale.matters_mm and weak.share > 0.5:
-                findings.append(Finding("weak direction", "scan", "doubtful", weak.text, weak.action, 1.0 + weak.share))
+                findings.append(
+                    Finding("weak direction", "scan", "doubtful", f"{weak.text}.", weak.action, 1.0 + weak.share)
+                )
         held_out = rms_of(np.array([m.held_out_rms_mm for m in joint.mounts]))
         if np.isfinite(held_out):
             figures = (*figures, Figure("surfaces of mounts held out", held_out, "mm RMS"))
