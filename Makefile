@@ -19,7 +19,7 @@ demo: install
 	@$(BIN)/rotaline demo
 
 test: install
-	@$(BIN)/python -m pytest -n auto --dist loadgroup tests
+	@$(BIN)/python -m pytest -n auto tests
 
 check: install
 	$(BIN)/ruff format --check .

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from rotaline.cli.app import main
+from rotaline.io.report.page import Picture
+from rotaline.io.report.sections import artifact, axis, camera, joint, laser_plane, overlays, parts, session
 from rotaline.simulation.rig import build_rig
 from rotaline.simulation.session import write_session
 from rotaline.simulation.small_session import small_plan
@@ -89,3 +91,14 @@ def place(calibrated, fresh):
     """A copy of the session with the results of its calibration."""
     shutil.copytree(calibrated.results, fresh.results)
     return fresh
+
+
+@pytest.fixture
+def without_pictures(monkeypatch):
+    """Reports with everything but their pictures, which take most of the time of a run: for tests that look at other results."""
+
+    def blank(draw, caption, width="full", form="svg"):
+        return Picture("data:,", caption, width)
+
+    for section in (artifact, axis, camera, joint, laser_plane, overlays, parts, session):
+        monkeypatch.setattr(section, "picture", blank)

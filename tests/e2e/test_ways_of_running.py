@@ -23,9 +23,6 @@ from rotaline.simulation.rig import build_rig
 from rotaline.simulation.session import write_session
 from rotaline.simulation.small_session import small_plan
 
-pytestmark = pytest.mark.xdist_group("ways")
-"""One worker renders the frames and starts the cluster for all of these tests."""
-
 N_FRAMES = 140
 N_RANGES = 5
 DEADLINE_S = 60.0

@@ -27,9 +27,6 @@ from rotaline.calibration.verdict.model import CAUSES, STEPS
 from rotaline.errors import CalibrationError, DetectionError, GeometryError
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid
 
-pytestmark = pytest.mark.xdist_group("verdict")
-"""In one process, since sessions and stages are shared."""
-
 RIG, PLAN = rig_and_plan()
 STRIPES = ("laser", "stepped-1", "stepped-2")
 TURNING = ("axis", "stepped-1", "stepped-2")
