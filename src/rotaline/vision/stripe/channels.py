@@ -28,7 +28,7 @@ from rotaline.vision.stripe.signal import (
     is_lit,
     match_step,
 )
-from rotaline.vision.stripe.signal_kernels import fit_line, heights, score, subtract, take_pairs
+from rotaline.vision.stripe.signal_kernels import fit_line, heights, score, subtract, take_pairs, to_steps
 
 STEPS = 32  # of a searched image, for one grey value of an 8 bit image
 ZERO = 32768  # of a searched image
@@ -137,6 +137,16 @@ def score_image(channels: Channels, name: str) -> UInt16[np.ndarray, "h w"]:
     values, white = _space.fit(channels.image.shape[:2])
     if score(*channels.rows(), channels.lines, weights, ZERO, WHITE * channels.top, values, white) and name != "grey":
         _fill_core(values, white)
+    return values
+
+
+def steps_of(plane: Plane) -> UInt16[np.ndarray, "h w"]:
+    """The values of a plane as the image in which a stripe is searched.
+
+    The next call in the same thread overwrites it.
+    """
+    values, _ = _space.fit(plane.value.shape)
+    to_steps(plane.value, STEPS / plane.unit, ZERO, values)
     return values
 
 

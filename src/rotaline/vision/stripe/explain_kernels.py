@@ -1,7 +1,7 @@
 """Whether the chains found at the full size explain all that is bright, so that smaller sizes of the image need not be looked at.
 
-They do where no chain is so wide that a smaller size would suit it better, and nothing else is bright beside them: a ridge that only a smaller
-size shows is nearly as high at the full size, and wider than what a narrow chain explains.
+They do where no chain is so wide that a smaller size would suit it better, and no tile with light beside them has a ridge in the half or the
+quarter size there. A ridge that only a smaller size shows is nearly as high at the full size, and wider than what a narrow chain explains.
 """
 
 from typing import no_type_check
@@ -9,76 +9,93 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.tile_kernels import BLOCK_COLUMNS, FIRST, TILE
+from rotaline.vision.stripe.tile_kernels import (
+    BLOCK_COLUMNS,
+    BLOCK_ROWS,
+    FIRST,
+    TILE,
+    mirrored,
+    smooth_block,
+    tile_peaks,
+)
 
+DIM = 1.2  # limits; what is fainter is not looked at
 _BESIDE = 5  # px on both sides of a chain, across it, that it explains
 _BEYOND = 4  # px beyond its ends
 _FALL = 3.7  # px^2; the fall over 3 px across tells the width: this for a stripe that the half size would suit as well
 _WING = 0.05  # of the height of a chain; what is fainter beside it is taken for its foot
-_DIM = 1.2  # limits
-_FEW = 4  # pixels of every other row of a tile; a ridge that only a smaller size shows has more
+_BORDER = 6  # px along the border of the image, where no smaller size has candidates
+_FEW = 2  # of every fourth pixel of a tile; a ridge that only a smaller size shows has more
+_MANY = 24  # tiles; rather than in so many one looks in the whole image
+_COLUMN = np.uint64(0x0101010101010101)
+_EVEN, _PACK, _FOUR = (
+    np.uint64(0x0001000100010001),
+    np.uint64(0x0001000200040008),
+    np.uint64(15),
+)  # four bits of a word side by side
+_ONE, _TWO, _EIGHT = np.uint64(1), np.uint64(2), np.uint64(8)
 
 
 @compiled
 @no_type_check
-def explained(
-    line: np.ndarray,
-    place: np.ndarray,
-    prominence: np.ndarray,
-    steep: np.ndarray,
-    begin: np.ndarray,
-    end: np.ndarray,
-    chain: np.ndarray,
-    smooth: np.ndarray,
-    queue: np.ndarray,
-    number: np.ndarray,
-    columns: int,
-    limits: np.ndarray,
-    h: int,
-    w: int,
-) -> bool:
-    """Whether the parts of the chains explain what is bright in the tiles of the queue, whose smoothed values are given."""
-    height = np.zeros(len(queue), np.float32)
-    low = np.empty(len(queue), np.float32)
-    for k in range(len(queue)):
-        low[k] = _low(smooth[k])
-    for p in range(len(begin)):
-        if _wide(line, place, prominence, begin[p], end[p], steep[chain[p]], smooth, number, columns, low, height):
-            return False
-    covered = np.empty((len(queue), TILE * BLOCK_COLUMNS), np.bool_)
-    for k in range(len(queue)):
-        _start(covered[k], min(TILE, h - queue[k] // columns * TILE), min(TILE, w - queue[k] % columns * TILE))
-    for p in range(len(begin)):
-        _cover(line, place, begin[p], end[p], steep[chain[p]], number, columns, h, w, covered)
-    least = _DIM * min(limits[0], limits[1])
-    for k in range(len(queue)):
-        a, b = queue[k] // columns, queue[k] % columns
-        highest = np.float32(0.0)
-        for i in range(max(a - 1, 0), min(a + 2, len(number) // columns)):
-            for j in range(max(b - 1, 0), min(b + 2, columns)):
-                if number[i * columns + j] >= 0:
-                    highest = max(highest, height[number[i * columns + j]])
-        if _bright_beside(smooth[k], low[k] + max(least, _WING * highest), covered[k]):
-            return False
-    return True
-
-
-@compiled
-@no_type_check
-def _low(smooth: np.ndarray) -> float:
+def lowest(smooth: np.ndarray) -> float:
     """Lowest of eight values around a tile."""
-    low = smooth[1]
+    low = smooth[2]
     for t in (
-        11,
-        22,
-        10 * BLOCK_COLUMNS + 1,
-        10 * BLOCK_COLUMNS + 22,
-        21 * BLOCK_COLUMNS + 1,
-        21 * BLOCK_COLUMNS + 11,
-        21 * BLOCK_COLUMNS + 22,
+        12,
+        23,
+        10 * BLOCK_COLUMNS + 2,
+        10 * BLOCK_COLUMNS + 23,
+        21 * BLOCK_COLUMNS + 2,
+        21 * BLOCK_COLUMNS + 12,
+        21 * BLOCK_COLUMNS + 23,
     ):
         low = min(low, smooth[t])
     return low
+
+
+@compiled
+@no_type_check
+def bright_pixels(
+    smooth: np.ndarray,
+    low: float,
+    dim: float,
+    top: int,
+    left: int,
+    h: int,
+    w: int,
+    fold: np.ndarray,
+    flags: np.ndarray,
+    words: np.ndarray,
+) -> tuple:
+    """Every fourth pixel of a tile that is well above what is dark around, bit ``8 i + j`` for pixel (2 i, 2 j); and the tile's height above that.
+
+    ``fold``, and ``flags`` with their ``words`` of eight bytes, are work space.
+    """
+    for t in range(256):
+        fold[t] = max(smooth[t + FIRST], smooth[t + FIRST + 240])
+    for n in (128, 64, 32, 16):
+        for t in range(n):
+            fold[t] = max(fold[t], fold[t + n])
+    highest = fold[0]
+    for t in range(1, 16):
+        highest = max(highest, fold[t])
+    height = highest - low
+    bits = np.uint64(0)
+    if height > dim:
+        limit = np.float32(low + max(np.float32(dim), np.float32(_WING) * height))
+        values = smooth[FIRST:]
+        for t in range(TILE * BLOCK_COLUMNS - TILE):
+            flags[t] = np.uint8(values[t] > limit)
+        for i in range(TILE // 2):
+            if _BORDER <= top + 2 * i < h - _BORDER:
+                for part in range(2):
+                    four = ((words[8 * i + part] & _EVEN) * _PACK) >> np.uint64(48) & _FOUR
+                    bits |= four << np.uint64(8 * i + 4 * part)
+        for j in range(TILE // 2):
+            if not _BORDER <= left + 2 * j < w - _BORDER:
+                bits &= ~(_COLUMN << np.uint64(j))
+    return bits, height
 
 
 @compiled
@@ -91,41 +108,26 @@ def _slope(line: np.ndarray, place: np.ndarray, k: int, begin: int, end: int) ->
 
 @compiled
 @no_type_check
-def _wide(
-    line: np.ndarray,
-    place: np.ndarray,
-    prominence: np.ndarray,
-    begin: int,
-    end: int,
-    steep: bool,
-    smooth: np.ndarray,
-    number: np.ndarray,
-    columns: int,
-    low: np.ndarray,
-    height: np.ndarray,
+def too_wide(
+    line: np.ndarray, place: np.ndarray, prominence: np.ndarray, above: np.ndarray, begin: int, end: int
 ) -> bool:
-    """Whether a chain falls off so slowly to its sides that a smaller size of the image would suit it better; notes its height in the tiles.
+    """Whether a chain falls off so slowly to its sides that a smaller size of the image would suit it better.
 
     A Gaussian of variance v falls by ``1 - exp(-d^2 / (2 v))`` of its height over d px.
     """
     fall, expected = 0.0, 0.0
-    part = 0.0
-    for k in range(begin, end):
-        if (k - begin) % 8 == 0:
-            slope = _slope(line, place, k, begin, end)
-            part = 1.0 - np.exp(-9.0 / ((1.0 + slope * slope) * 2.0 * _FALL))
-        row, column = (line[k], place[k]) if steep else (place[k], line[k])
-        tile = number[row // TILE * columns + column // TILE]
-        h = smooth[tile, FIRST + row % TILE * BLOCK_COLUMNS + column % TILE] - low[tile]
-        height[tile] = max(height[tile], h)
-        fall += prominence[k]
-        expected += part * h
+    for first in range(begin, end, 8):
+        slope = _slope(line, place, first, begin, end)
+        part = 1.0 - np.exp(-9.0 / ((1.0 + slope * slope) * 2.0 * _FALL))
+        for k in range(first, min(first + 8, end)):
+            fall += prominence[k]
+            expected += part * above[k]
     return fall < expected
 
 
 @compiled
 @no_type_check
-def _cover(
+def cover(
     line: np.ndarray,
     place: np.ndarray,
     begin: int,
@@ -135,9 +137,9 @@ def _cover(
     columns: int,
     h: int,
     w: int,
-    covered: np.ndarray,
+    light: np.ndarray,
 ) -> None:
-    """Mark the pixels beside the points of a chain, in its gaps and beyond its ends; ``covered[k, 32 i + j]`` is pixel (i, j) of tile k."""
+    """Take the pixels beside the points of a chain, in its gaps and beyond its ends out of the bright ones."""
     lines, places = (h, w) if steep else (w, h)
     half = _BESIDE
     for k in range(begin, end):
@@ -147,38 +149,105 @@ def _cover(
         first = max(line[k] - (_BEYOND if k == begin else 0), 0)
         last = min(line[k + 1] if k + 1 < end else line[k] + _BEYOND + 1, lines)
         low, high = max(place[k] - half, 0), min(place[k] + half, places - 1)
-        for at in range(first, last):
+        for at in range(first + first % 2, last, 2):
             for t in range(low // TILE, high // TILE + 1):
                 tile = number[at // TILE * columns + t] if steep else number[t * columns + at // TILE]
                 if tile < 0:
                     continue
-                i, j = np.uint64(max(low - t * TILE, 0)), np.uint64(min(high - t * TILE, TILE - 1) + 1)
-                pixels, line_in_tile = covered[tile], np.uint64(at % TILE)
+                i, j = (max(low - t * TILE, 0) + 1) // 2, min(high - t * TILE, TILE - 1) // 2
+                across, along = np.uint64(i), np.uint64(at % TILE // 2)
                 if steep:
-                    for column in range(i, j):
-                        pixels[line_in_tile * np.uint64(BLOCK_COLUMNS) + column] = True
+                    run = (_TWO << np.uint64(j - i)) - _ONE if j >= i else np.uint64(0)
+                    light[tile] &= ~(run << (_EIGHT * along + across))
                 else:
-                    for row in range(i, j):
-                        pixels[row * np.uint64(BLOCK_COLUMNS) + line_in_tile] = True
+                    run = _COLUMN >> np.uint64(8 * (7 - j + i)) if j >= i else np.uint64(0)
+                    light[tile] &= ~(run << (_EIGHT * across + along))
 
 
 @compiled
 @no_type_check
-def _start(covered: np.ndarray, height: int, width: int) -> None:
-    """Mark what does not count in a tile: every other row, and what lies beside the tile or the image."""
-    for i in range(TILE):
-        row = covered[i * BLOCK_COLUMNS : (i + 1) * BLOCK_COLUMNS]
-        row[:] = True
-        if i % 2 == 0 and i < height:
-            row[:width] = False
+def bright_beside(
+    image: np.ndarray,
+    scale: float,
+    light: np.ndarray,
+    height: np.ndarray,
+    queue: np.ndarray,
+    number: np.ndarray,
+    columns: int,
+    limits: np.ndarray,
+    block: np.ndarray,
+    half: np.ndarray,
+    smooth: np.ndarray,
+    peaks: np.ndarray,
+) -> bool:
+    """Whether there are ridges in the half or the quarter size of the image where bright pixels are left in the tiles of the queue."""
+    seen = 0
+    for k in range(len(queue)):
+        if _count(light[k]) < _FEW:
+            continue
+        a, b = queue[k] // columns, queue[k] % columns
+        highest = np.float32(0.0)
+        for i in range(max(a - 1, 0), min(a + 2, len(number) // columns)):
+            for j in range(max(b - 1, 0), min(b + 2, columns)):
+                if number[i * columns + j] >= 0:
+                    highest = max(highest, height[number[i * columns + j]])
+        if height[k] < _WING * highest:
+            continue
+        seen += 1
+        if seen > _MANY:
+            return True
+        least = min(limits[0], limits[1])
+        for factor in (2, 4):
+            _smaller_block(image, scale, a // factor, b // factor, factor, block)
+            smooth_block(block, half, smooth)
+            for step in (1, BLOCK_COLUMNS):
+                found = tile_peaks(smooth, step, least, peaks)
+                if found and _in_light(peaks, light[k], factor, a % factor, b % factor):
+                    return True
+    return False
 
 
 @compiled
 @no_type_check
-def _bright_beside(smooth: np.ndarray, least: float, covered: np.ndarray) -> bool:
-    """Whether a tile has smoothed values above ``least`` that are not covered."""
-    n, limit = np.int32(0), np.float32(least)
-    values = smooth[FIRST:]
-    for t in range(TILE * BLOCK_COLUMNS - TILE):
-        n += np.int32((values[t] > limit) & (not covered[t]))
+def _count(bits: int) -> int:
+    """Number of bits that are set."""
+    n = 0
+    while bits:
+        bits &= bits - _ONE
+        n += 1
+    return n
+
+
+@compiled
+@no_type_check
+def _smaller_block(image: np.ndarray, scale: float, a: int, b: int, factor: int, block: np.ndarray) -> None:
+    """The block of a tile of the image that is smaller by a factor."""
+    h, w = image.shape
+    weight = np.float32(scale / (factor * factor))
+    for i in range(BLOCK_ROWS):
+        top = mirrored(a * TILE - 6 + i, h // factor) * factor
+        for j in range(BLOCK_COLUMNS):
+            left = mirrored(b * TILE - 8 + j, w // factor) * factor
+            total = np.int32(0)
+            for y in range(factor):
+                for x in range(factor):
+                    total += np.int32(image[top + y, left + x])
+            block[i * BLOCK_COLUMNS + j] = weight * np.float32(total)
+
+
+@compiled
+@no_type_check
+def _in_light(peaks: np.ndarray, light: int, factor: int, down: int, right: int) -> bool:
+    """Whether ridges of a tile of the smaller image lie where pixels are bright in a tile of the full one; that is ``(down, right)`` in its part."""
+    size = TILE // factor
+    wide = factor // 2
+    n = 0
+    for i in range(size):
+        for j in range(size):
+            if peaks[(down * size + i) * BLOCK_COLUMNS + right * size + j]:
+                bright = np.uint64(0)
+                for y in range(i * wide, (i + 1) * wide):
+                    for x in range(j * wide, (j + 1) * wide):
+                        bright |= light >> np.uint64(8 * y + x)
+                n += bright & _ONE != 0
     return n >= _FEW

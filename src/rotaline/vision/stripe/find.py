@@ -15,21 +15,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, UInt8, UInt16
 
 from rotaline.vision.images import Image
-from rotaline.vision.stripe.channels import STEPS, channels_of, measuring_channel, plane_of, score_image
+from rotaline.vision.stripe.channels import STEPS, channels_of, measuring_channel, plane_of, score_image, steps_of
 from rotaline.vision.stripe.find_kernels import CAREFUL, EVERYWHERE, QUICK, search
 from rotaline.vision.stripe.found import FoundStripe
 from rotaline.vision.stripe.options import StripeOptions
 from rotaline.vision.stripe.plane import Plane
 from rotaline.vision.stripe.settle_kernels import choose, compete
 from rotaline.vision.stripe.signal import CLEAR, score_names
-from rotaline.vision.stripe.tile_kernels import SMOOTH_SIZE, half_size
+from rotaline.vision.stripe.tile_kernels import half_size
 
-Values = UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"] | Float32[np.ndarray, "h w"]
+Values = UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]
 _LEVELS = 3
 _LEAST_SIZE = 16  # px; of a smaller image no half is made
 _LEAST_SEARCHED = 7  # px
 _LAST_MARK = 255
-_KEPT_TILES = 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +75,7 @@ class Chosen:
 
 
 class _Maps(threading.local):
-    """Work space of one thread: for images of one size a map of marks and one of zeros, and room for smoothed tiles.
+    """Work space of one thread: for images of one size a map of marks and one of zeros.
 
     A map is marked with a new number each time, so that it need not be wiped.
     """
@@ -84,7 +83,6 @@ class _Maps(threading.local):
     def __init__(self) -> None:
         self.marks, self.zeros = np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=np.float32)
         self.mark = 0
-        self.smooth = np.empty((_KEPT_TILES, SMOOTH_SIZE), dtype=np.float32)
 
     def unmarked(self, shape: tuple[int, ...]) -> tuple[np.ndarray, int, np.ndarray]:
         """The map of marks, a number that is nowhere in it, and the map of zeros."""
@@ -121,8 +119,10 @@ def find(image: Image, background: Image | None, options: StripeOptions) -> tupl
     channels = channels_of(image, background)
     if image.ndim == 2:
         plane = plane_of(channels, 0)
-        floor = options.min_contrast * plane.unit
-        return find_chains(plane.value, options.threshold, floor, options.min_length_px, 0.0).stripe, plane
+        values = steps_of(plane)
+        return find_chains(
+            values, options.threshold, options.min_contrast * STEPS, options.min_length_px, 0.0
+        ).stripe, plane
     best: Chosen | None = None
     clear = False
     for name in score_names(options.laser_colour):
@@ -154,7 +154,7 @@ def find_chains(
     rounding : float   step of the grey values; 0 where they are not rounded
     everywhere : bool   search every tile in all three sizes, and not only those where something may be
     """
-    chains, explained = _search(image, threshold, floor, rounding, everywhere)
+    chains, explained = _search(image, 1.0, threshold, floor, rounding, everywhere)
     if everywhere or not explained:
         chains = _with_smaller_sizes(chains, image, threshold, floor, everywhere)
     uv, prominence, chain, scale, steep, crowded, strength, usual, length = choose(
@@ -164,36 +164,43 @@ def find_chains(
     return Chosen(FoundStripe(uv, chain, scale, crowded), prominence, steep, strength, usual, length)
 
 
-def _search(image: Values, threshold: float, floor: float, rounding: float, everywhere: bool) -> tuple[Chains, bool]:
-    """Chains of one size of an image, and whether no smaller size is needed."""
+def _search(
+    image: Values, scale: float, threshold: float, floor: float, rounding: float, everywhere: bool
+) -> tuple[Chains, bool]:
+    """Chains of one size of an image, of which a step stands for ``scale`` grey values, and whether no smaller size is needed."""
     if min(image.shape) < _LEAST_SEARCHED:
         none, true = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.bool_)
         return Chains(none, none, none.astype(np.float32), np.zeros(1, dtype=np.int32), true, *[none] * 4), True
-    bytes_ = _bytes(image)
+    values = _readable(image)
     for effort in (EVERYWHERE,) if everywhere else (QUICK, CAREFUL):
         *found, explained, clear = search(
-            bytes_, image.itemsize, threshold, floor, rounding, effort, *_maps.unmarked(image.shape), _maps.smooth
+            values, scale, threshold, floor, rounding, effort, *_maps.unmarked(image.shape)
         )
         if clear:
             break
     return Chains(*found), explained
 
 
-def _bytes(image: Values) -> UInt8[np.ndarray, "h w_bytes"]:
-    """The bytes of the values, for reading only: so one compiled kernel serves all types."""
-    view = np.ascontiguousarray(image).view(np.uint8)
+def _readable(image: Values) -> Values:
+    """The same values, for reading only: so one compiled kernel serves all images of a type."""
+    view = np.ascontiguousarray(image).view()
     view.flags.writeable = False
     return view
 
 
 def _with_smaller_sizes(full: Chains, image: Values, threshold: float, floor: float, everywhere: bool) -> Chains:
     """The chains of the full size with those of the half and the quarter size, after all of them have competed."""
-    sizes, factors, shape = [full], [full.factor], image.shape
+    sizes, factors, shape, scale = [full], [full.factor], image.shape, 1.0
+    divided_by, step = (
+        (1, 0.25) if image.dtype == np.uint8 else (4, 1.0)
+    )  # sums of 16 of the former still fit into 16 bits
     for level in range(1, _LEVELS):
         if min(image.shape) < _LEAST_SIZE:
             break
-        image = half_size(_bytes(image), image.itemsize)
-        sizes.append(_search(image, threshold, floor, 0.0, everywhere)[0])
+        smaller = np.empty((image.shape[0] // 2, image.shape[1] // 2), dtype=np.uint16)
+        half_size(_readable(image), divided_by, smaller)
+        image, scale = smaller, scale * step
+        sizes.append(_search(image, scale, threshold, floor, 0.0, everywhere)[0])
         factors.append(sizes[-1].factor * np.int32(2**level))
     line, place, prominence, steep = (
         np.concatenate([getattr(one, name) for one in sizes]) for name in ("line", "place", "prominence", "steep")

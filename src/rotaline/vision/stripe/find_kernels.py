@@ -5,14 +5,13 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.explain_kernels import explained
+from rotaline.vision.stripe.explain_kernels import DIM, bright_beside, bright_pixels, cover, lowest, too_wide
 from rotaline.vision.stripe.link_kernels import link
 from rotaline.vision.stripe.settle_kernels import compete, median
 from rotaline.vision.stripe.tile_kernels import (
     BLOCK_COLUMNS,
-    BLOCK_ROWS,
+    BLOCK_SIZE,
     FIRST,
-    RAW_SIZE,
     SMOOTH_SIZE,
     TILE,
     bright_tiles,
@@ -26,10 +25,8 @@ _CLEAR = 1.5  # limits: to a stripe as prominent the exact limit, and what stand
 QUICK, CAREFUL, EVERYWHERE = 0, 1, 2
 _LEAST_NOISE = 0.08
 _SURE = 1.25
-_SPLIT = 0.7  # of the limit: a thin ridge between two pairs of rows shows so little in means of 2 x 2 values
-_LUCK = (
-    0.35  # of the limit by the noise alone: the highest of the means on top of a ridge is so much above the usual one
-)
+_RISE = 1.15  # limits; the thinnest of ridges shows 1.25 of its prominence in the highest values of two columns
+_LUCK = 0.2  # of the limit by the noise alone, which raises the highest values more than the lowest ones
 _CROWD = 0.06  # of all tiles
 _HIGHER = 1.35  # times the limit, where most tiles stand out by chance, as those of noise that is cut off at 0 do
 _PER_TILE = 64  # candidates at most: they lie four pixels apart
@@ -38,8 +35,8 @@ _PER_TILE = 64  # candidates at most: they lie four pixels apart
 @compiled
 @no_type_check
 def search(
-    pixels: np.ndarray,
-    size: int,
+    image: np.ndarray,
+    scale: float,
     threshold: float,
     floor: float,
     rounding: float,
@@ -47,21 +44,19 @@ def search(
     taken: np.ndarray,
     mark: int,
     finest: np.ndarray,
-    smooth: np.ndarray,
 ) -> tuple:
     """Chains of candidates of one image.
 
     Parameters
     ----------
-    pixels : (h, size * w)   bytes of the values of the image
-    size : int   bytes of a value: 1 and 2 for whole numbers, 4 for floating point ones
+    image : (h, w)   uint8 or uint16, to be read only
+    scale : float   grey values for one step of the image
     threshold : float   least prominence as a multiple of the prominence of the noise
-    floor : float   least prominence
-    rounding : float   step of the values
+    floor : float   least prominence, grey values
+    rounding : float   error of the grey values by which a ridge may stand out less in them
     effort : int   QUICK; CAREFUL, with more tiles, for stripes near the limit that the noise sets; or EVERYWHERE, in all tiles
     taken : (h, w)   uint8, nowhere ``mark``, which is set here
     finest : (h, w)   float32, zeros; zeros again afterwards
-    smooth : (n, SMOOTH_SIZE)   float32, room for the smoothed values of so many tiles
 
     Returns
     -------
@@ -72,26 +67,23 @@ def search(
     plain : bool   nothing in the image needs to be looked at in a smaller size
     clear : bool   more effort would not show more
     """
-    h, w = pixels.shape[0], pixels.shape[1] // size
+    h, w = image.shape
     rows, columns = -(-h // TILE), -(-w // TILE)
     n_tiles = rows * columns
-    raw = np.empty(RAW_SIZE, np.uint8)
-    block = np.empty(BLOCK_ROWS * BLOCK_COLUMNS, np.float32)
-    half = np.empty(SMOOTH_SIZE, np.float32)
-    limits = np.empty(2, np.float32)
-    tops = np.empty((rows, columns), np.float32)
-    lows = np.empty((rows, columns), np.float32)
+    raw = np.empty(BLOCK_SIZE, image.dtype)
+    block, half = np.empty(BLOCK_SIZE, np.float32), np.zeros(SMOOTH_SIZE + TILE, np.float32)
+    smooth, limits = np.empty(SMOOTH_SIZE, np.float32), np.empty(2, np.float32)
+    tops, lows = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
     if effort != EVERYWHERE:
-        sweep(pixels, size, tops, lows)
-    by_noise = _limits(pixels, size, rows, columns, threshold, floor, effort, raw, block, half, limits)
-    queue = np.empty(n_tiles, np.int32)
-    number = np.full(n_tiles, -1, np.int32)
+        sweep(image, scale, tops, lows)
+    by_noise = _limits(image, scale, rows, columns, threshold, floor, effort, raw, block, half, smooth, limits)
+    queue, number = np.empty(n_tiles, np.int32), np.full(n_tiles, -1, np.int32)
     if effort == EVERYWHERE:
         n_queue = n_tiles
         for k in range(n_tiles):
             queue[k] = k
     else:
-        least = _SPLIT * min(limits[0], limits[1]) + _LUCK * by_noise - 0.25 * rounding
+        least = _RISE * min(limits[0], limits[1]) + _LUCK * by_noise - 0.25 * rounding
         n_queue = bright_tiles(tops, lows, least, queue)
         if effort == QUICK and n_queue > _CROWD * n_tiles and by_noise >= floor:
             by_chance = n_queue - bright_tiles(tops, lows, _HIGHER * least, queue)
@@ -99,60 +91,57 @@ def search(
     for k in range(n_queue):
         number[queue[k]] = k
     room = _PER_TILE * 32
-    line, place = np.empty((2, room), np.int32), np.empty((2, room), np.int32)
-    prominence = np.empty((2, room), np.float32)
-    peaks, bit = np.zeros(TILE * BLOCK_COLUMNS, np.uint16), _bits()
+    where, what = np.empty((4, room), np.int32), np.empty((4, room), np.float32)
+    peaks = np.zeros(TILE * BLOCK_COLUMNS, np.uint8)
+    words = peaks.view(np.uint64)
+    light, height = np.empty(n_tiles, np.uint64), np.empty(n_tiles, np.float32)
+    dim = DIM * min(limits[0], limits[1])
     count = np.zeros(2, np.int64)
     done = 0
     while done < n_queue:
         if max(count[0], count[1]) + _PER_TILE > room:
             room *= 4
-            line, place, prominence = _larger(line, 2, room), _larger(place, 2, room), _larger(prominence, 2, room)
+            where, what = _larger(where, room), _larger(what, room)
         a, b = queue[done] // columns, queue[done] % columns
-        values = smooth[min(done, len(smooth) - 1)]
-        smooth_tile(pixels, size, a, b, raw, block, half, values)
+        smooth_tile(image, scale, a, b, raw, block, half, smooth)
+        low = lowest(smooth)
+        light[done], height[done] = bright_pixels(smooth, low, dim, a * TILE, b * TILE, h, w, half, peaks, words)
         near = 0
         # the step as a number, not a variable: known beforehand, it makes faster loops
-        if tile_peaks(values, 1, limits[0], bit, peaks):
-            near |= _collect(peaks, values, 0, a, b, h, w, line[0], place[0], prominence[0], count)
-        if tile_peaks(values, BLOCK_COLUMNS, limits[1], bit, peaks):
-            near |= _collect(peaks, values, 1, a, b, h, w, line[1], place[1], prominence[1], count)
+        if tile_peaks(smooth, 1, limits[0], peaks):
+            near |= _collect(words, smooth, low, 0, a, b, h, w, where, what, count)
+        if tile_peaks(smooth, BLOCK_COLUMNS, limits[1], peaks):
+            near |= _collect(words, smooth, low, 1, a, b, h, w, where, what, count)
         if near:
             n_queue = _neighbours(near, a, b, rows, columns, number, queue, n_queue)
         done += 1
     n = count[0] + count[1]
-    out_line, out_place, out_prominence = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.float32)
+    line, place = np.empty(n, np.int32), np.empty(n, np.int32)
+    prominence, above = np.empty(n, np.float32), np.empty(n, np.float32)
     start = np.zeros(n // 4 + 1, np.int32)
     n_chains, n_steep = 0, 0
     for kind in range(2):
         n_steep = n_chains
         n_chains = link(
-            line[kind], place[kind], prominence[kind], count[kind], w if kind else h, out_line, out_place, out_prominence, start,
-            n_chains
+            where[2 * kind : 2 * kind + 2], what[2 * kind : 2 * kind + 2], count[kind], w if kind else h, line, place,
+            prominence, above, start, n_chains
         )  # fmt: skip
     n = start[n_chains]
-    line, place, prominence, start = out_line[:n], out_place[:n], out_prominence[:n], start[: n_chains + 1]
+    line, place, prominence, start = line[:n], place[:n], prominence[:n], start[: n_chains + 1]
     steep = np.zeros(n_chains, np.bool_)
     for k in range(n_steep):
         steep[k] = True
     factor = np.ones(n_chains, np.int32)
     begin, end, chain = compete(line, place, prominence, start, steep, factor, taken, mark, finest)
-    plain = n_queue <= len(smooth) and explained(
-        line,
-        place,
-        prominence,
-        steep,
-        begin,
-        end,
-        chain,
-        smooth,
-        queue[:n_queue],
-        number,
-        columns,
-        limits,
-        h,
-        w,
-    )
+    plain = True
+    for p in range(len(begin)):
+        plain &= not too_wide(line, place, prominence, above, begin[p], end[p])
+    if plain:
+        for p in range(len(begin)):
+            cover(line, place, begin[p], end[p], steep[chain[p]], number, columns, h, w, light)
+        plain = not bright_beside(
+            image, scale, light, height, queue[:n_queue], number, columns, limits, block, half, smooth, peaks
+        )
     clear = by_noise < floor or _strongest(prominence, begin, end) > _CLEAR * max(limits[0], limits[1])
     return line, place, prominence, start, steep, factor, begin, end, chain, plain, clear
 
@@ -171,9 +160,9 @@ def _strongest(prominence: np.ndarray, begin: np.ndarray, end: np.ndarray) -> fl
 
 @compiled
 @no_type_check
-def _larger(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
+def _larger(values: np.ndarray, columns: int) -> np.ndarray:
     """The same values in a larger array."""
-    out = np.empty((rows, columns), values.dtype)
+    out = np.empty((values.shape[0], columns), values.dtype)
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             out[i, j] = values[i, j]
@@ -182,57 +171,51 @@ def _larger(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
 
 @compiled
 @no_type_check
-def _bits() -> np.ndarray:
-    """A number with one bit set for each column of a tile, row after row of its block; 0 beside the tile."""
-    bit = np.zeros(TILE * BLOCK_COLUMNS, np.uint16)
-    for i in range(TILE):
-        for j in range(TILE):
-            bit[i * BLOCK_COLUMNS + j] = 1 << j
-    return bit
-
-
-@compiled
-@no_type_check
 def _collect(
-    peaks: np.ndarray,
+    words: np.ndarray,
     smooth: np.ndarray,
+    low: float,
     kind: int,
     a: int,
     b: int,
     h: int,
     w: int,
-    line: np.ndarray,
-    place: np.ndarray,
-    prominence: np.ndarray,
+    where: np.ndarray,
+    what: np.ndarray,
     count: np.ndarray,
 ) -> int:
-    """Append the candidates of a tile; returns a bit for each of the nine tiles around that a chain may come from, or go to."""
+    """Append the candidates of a tile, given as eight bytes a word; returns a bit for each of the nine tiles around that a chain may come from, or
+    go to.
+    """
     near = 0
     n = count[kind]
+    line, place, prominence, above = where[2 * kind], where[2 * kind + 1], what[2 * kind], what[2 * kind + 1]
     step, along, across = (1, 3, 2) if kind == 0 else (BLOCK_COLUMNS, 2, 3)
     edge_rows, edge_columns = (0, 3) if kind == 0 else (3, 0)
     for i in range(TILE):
-        bits = np.int64(peaks[i * BLOCK_COLUMNS])
-        j = -1
-        while bits:
-            j += 1
-            while bits & 15 == 0:
-                bits >>= 4
-                j += 4
-            while bits & 1 == 0:
-                bits >>= 1
+        for part in range(TILE // 8):
+            rest = np.int64(words[4 * i + part])
+            j = 8 * part - 1
+            while rest:
                 j += 1
-            bits >>= 1
-            row, column = a * TILE + i, b * TILE + j
-            if row < edge_rows or row >= h - edge_rows or column < edge_columns or column >= w - edge_columns:
-                continue
-            t = FIRST + i * BLOCK_COLUMNS + j
-            line[n], place[n] = (row, column) if kind == 0 else (column, row)
-            prominence[n] = smooth[t] - max(smooth[t - 3 * step], smooth[t + 3 * step])
-            n += 1
-            y = 0 if i < along else 2 if i >= TILE - along else 1
-            x = 0 if j < across else 2 if j >= TILE - across else 1
-            near |= 1 << (3 * y + x) | 1 << (3 * y + 1) | 1 << (3 + x)
+                if rest & 0xFFFFFFFF == 0:
+                    rest >>= 32
+                    j += 4
+                while rest & 1 == 0:
+                    rest >>= 8
+                    j += 1
+                rest >>= 8
+                row, column = a * TILE + i, b * TILE + j
+                if row < edge_rows or row >= h - edge_rows or column < edge_columns or column >= w - edge_columns:
+                    continue
+                t = FIRST + i * BLOCK_COLUMNS + j
+                line[n], place[n] = (row, column) if kind == 0 else (column, row)
+                prominence[n] = smooth[t] - max(smooth[t - 3 * step], smooth[t + 3 * step])
+                above[n] = smooth[t] - low
+                n += 1
+                y = 0 if i < along else 2 if i >= TILE - along else 1
+                x = 0 if j < across else 2 if j >= TILE - across else 1
+                near |= 1 << (3 * y + x) | 1 << (3 * y + 1) | 1 << (3 + x)
     count[kind] = n
     return near
 
@@ -256,8 +239,8 @@ def _neighbours(
 @compiled
 @no_type_check
 def _limits(
-    pixels: np.ndarray,
-    size: int,
+    image: np.ndarray,
+    scale: float,
     rows: int,
     columns: int,
     threshold: float,
@@ -266,30 +249,27 @@ def _limits(
     raw: np.ndarray,
     block: np.ndarray,
     half: np.ndarray,
+    smooth: np.ndarray,
     limits: np.ndarray,
 ) -> float:
-    """Least prominence of steep and of flat candidates; returns what it would be by the noise alone, or something less.
+    """Least prominence of steep and of flat candidates; returns what it would be by the noise alone.
 
     A few tiles show whether the noise counts at all; if it may, more tell how large it is.
     """
-    h, w = pixels.shape[0], pixels.shape[1] // size
-    smooth = np.empty(SMOOTH_SIZE, np.float32)
-    limits[0] = limits[1] = floor
-    quiet = floor / (1.4826 * threshold * _SURE) if threshold > 0.0 else np.inf
-    if floor < threshold * _LEAST_NOISE:
-        quiet = 0.0
-    first, step = (0, 1) if rows * columns <= _FEW else (2, 5)
+    h, w = image.shape
     many = _MANY if effort == QUICK else _MOST
     samples = np.empty((2, max(many * 3 * TILE, _FEW * TILE * TILE)), np.float32)
     count = np.zeros(2, np.int64)
+    least = np.inf
     for tiles in (_FEW, many):
         number = min(tiles, rows * columns)
+        first, step = (0, 1) if rows * columns <= _FEW else (0, 2) if tiles == _FEW else (2, 5)
         count[0] = count[1] = 0
         for k in range(number):
             tile = k * rows * columns // number
             tile += k * 7 % ((k + 1) * rows * columns // number - tile)  # not all in the same columns
             top, left = tile // columns * TILE, tile % columns * TILE
-            smooth_tile(pixels, size, tile // columns, tile % columns, raw, block, half, smooth)
+            smooth_tile(image, scale, tile // columns, tile % columns, raw, block, half, smooth)
             for i in range(first, min(TILE, h - top), step):
                 t = FIRST + i * BLOCK_COLUMNS
                 low, high = max(3 - left, 0), min(TILE, w - 3 - left)
@@ -297,19 +277,17 @@ def _limits(
                     count[0] += _drops(smooth, t + low, t + high, 3, samples[0, count[0] :])
                 if 3 <= top + i < h - 3:
                     count[1] += _drops(smooth, t, t + min(TILE, w - left), 3 * BLOCK_COLUMNS, samples[1, count[1] :])
-        steep, flat = samples[0, : count[0]], samples[1, : count[1]]
-        if tiles == _FEW and _within(steep, quiet) and _within(flat, quiet):
-            calm = _within(steep, 0.5 * quiet) or _within(flat, 0.5 * quiet)
-            return 0.0 if calm else 0.4 * floor
-    least = np.inf
-    for kind in range(2):
-        values = samples[kind, : (count[kind] - 1) | 1]  # an odd number has a quicker median
-        centre = median(values)
-        for k in range(len(values)):
-            values[k] = abs(values[k] - centre)
-        noise = 1.4826 * median(values)
-        limits[kind] = max(floor, threshold * max(noise, _LEAST_NOISE))
-        least = min(least, threshold * noise)
+        least, most = np.inf, 0.0
+        for kind in range(2):
+            values = samples[kind, : count[kind]]
+            centre = np.float32(median(values))
+            for k in range(len(values)):
+                values[k] = abs(values[k] - centre)
+            noise = 1.4826 * median(values)
+            limits[kind] = max(floor, threshold * max(noise, _LEAST_NOISE))
+            least, most = min(least, threshold * noise), max(most, threshold * noise)
+        if _SURE * most < floor and threshold * _LEAST_NOISE <= floor:
+            break
     return least
 
 
@@ -321,20 +299,3 @@ def _drops(smooth: np.ndarray, begin: int, end: int, away: int, out: np.ndarray)
         t = begin + k
         out[k] = smooth[t] - max(smooth[t - away], smooth[t + away])
     return end - begin
-
-
-@compiled
-@no_type_check
-def _within(values: np.ndarray, tolerance: float) -> bool:
-    """Whether three of five values lie about their usual value, the mean of those near 0, by less than the tolerance."""
-    near, limit = np.float32(8.0 * tolerance), np.float32(tolerance)
-    total, n = np.float32(0.0), np.int32(0)
-    for k in range(len(values)):
-        close = abs(values[k]) < near
-        total += values[k] if close else np.float32(0.0)
-        n += np.int32(close)
-    usual = np.float32(total / max(n, 1))
-    n = np.int32(0)
-    for k in range(len(values)):
-        n += np.int32(abs(values[k] - usual) < limit)
-    return n >= 0.6 * len(values)

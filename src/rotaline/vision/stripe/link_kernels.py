@@ -13,56 +13,56 @@ _GAPS = 3  # lines from one point to the next, at most; the place may differ by 
 @compiled
 @no_type_check
 def link(
-    line: np.ndarray,
-    place: np.ndarray,
-    prominence: np.ndarray,
+    where: np.ndarray,
+    what: np.ndarray,
     n: int,
     n_lines: int,
     out_line: np.ndarray,
     out_place: np.ndarray,
     out_prominence: np.ndarray,
+    out_above: np.ndarray,
     start: np.ndarray,
     n_chains: int,
 ) -> int:
     """Append the chains of n candidates: those on neighbouring lines are linked where each is the other's nearest.
 
+    ``where`` has their lines and places, ``what`` their prominence and their heights above what is dark around.
     Up to two lines may be missing between two linked candidates. ``start[k]`` is where chain k begins in what is appended to. Returns the
     number of chains.
     """
     first = np.zeros(n_lines + _GAPS + 2, np.int32)
     for k in range(n):
-        first[line[k] + 1] += 1
+        first[where[0, k] + 1] += 1
     for i in range(len(first) - 1):
         first[i + 1] += first[i]
-    order = np.empty(n, np.int32)
     fill = first.copy()
+    lines, places, order = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
     for k in range(n):
-        i = line[k]
+        i, place = where[0, k], where[1, k]
         at = fill[i]
         fill[i] += 1
-        while at > first[i] and place[order[at - 1]] > place[k]:
-            order[at] = order[at - 1]
+        while at > first[i] and places[at - 1] > place:
+            places[at], order[at] = places[at - 1], order[at - 1]
             at -= 1
-        order[at] = k
-    places = np.empty(n, np.int32)
-    for k in range(n):
-        places[k] = place[order[k]]
-    successor = np.full(n, -1, np.int32)
-    linked = np.zeros(n, np.bool_)
+        lines[fill[i] - 1], places[at], order[at] = i, place, k
+    successor, linked = np.full(n, -1, np.int32), np.zeros(n, np.bool_)
+    unlinked = np.arange(n)
+    left = n
     for gap in range(1, _GAPS + 1):
-        for i in range(n_lines):
+        number, left = left, 0
+        for q in range(number):
+            k = unlinked[q]
+            i = lines[k]
             low, high = first[i + gap], first[i + gap + 1]
-            if low == high:
-                continue
-            for k in range(first[i], first[i + 1]):
-                if successor[k] >= 0:
-                    continue
+            if low < high:
                 m = _nearest(places, low, high, places[k])
-                if linked[m] or abs(places[m] - places[k]) > gap + 1:
-                    continue
-                if _nearest(places, first[i], first[i + 1], places[m]) == k:
+                near = not linked[m] and abs(places[m] - places[k]) <= gap + 1
+                if near and _nearest(places, first[i], first[i + 1], places[m]) == k:
                     successor[k] = m
                     linked[m] = True
+                    continue
+            unlinked[left] = k
+            left += 1
     to = start[n_chains]
     for k in range(n):
         if linked[k]:
@@ -70,7 +70,8 @@ def link(
         begin = to
         m = k
         while m >= 0:
-            out_line[to], out_place[to], out_prominence[to] = line[order[m]], places[m], prominence[order[m]]
+            out_line[to], out_place[to] = lines[m], places[m]
+            out_prominence[to], out_above[to] = what[0, order[m]], what[1, order[m]]
             to += 1
             m = successor[m]
         if to - begin < _SHORTEST:

@@ -79,6 +79,17 @@ def subtract(image: np.ndarray, background: np.ndarray, gain: float, offset: flo
 
 @compiled
 @no_type_check
+def to_steps(values: np.ndarray, scale: float, zero: float, out: np.ndarray) -> None:
+    """``scale * values + zero`` of (h, w) float32 values as whole numbers, which end at 0 and 65535."""
+    factor, half, most = np.float32(scale), np.float32(zero + 0.5), np.float32(65535.0)
+    for i in range(out.shape[0]):
+        row, to = values[i], out[i]
+        for j in range(len(to)):
+            to[j] = np.uint16(np.int32(min(max(factor * row[j] + half, np.float32(0.0)), most)))
+
+
+@compiled
+@no_type_check
 def take_pairs(
     image: np.ndarray,
     background: np.ndarray,

@@ -1,6 +1,6 @@
 """One sweep over an image that says where ridges can be, and the smoothing of one tile of it.
 
-A tile is 16 x 16 pixels. Its block, 30 rows of 32 pixels, holds what decides about its pixels: seven more on each side, four for the smoothing
+A tile is 16 x 16 pixels. Its block, 28 rows of 32 pixels, holds what decides about its pixels: six more on each side, three for the smoothing
 and three that a ridge must stand above. Blocks are worked on as one long row of numbers, row after row, which suits the processor; what comes
 out at the seams is not used.
 """
@@ -11,103 +11,88 @@ import numpy as np
 
 from rotaline.geometry.compiled import compiled
 
-TILE, BLOCK_ROWS, BLOCK_COLUMNS = 16, 30, 32
-RAW_SIZE = BLOCK_ROWS * BLOCK_COLUMNS * 4  # bytes
-_ABOVE, _LEFT = 7, 8  # of the tile in its block
+TILE, BLOCK_ROWS, BLOCK_COLUMNS = 16, 28, 32
+BLOCK_SIZE = BLOCK_ROWS * BLOCK_COLUMNS
 SMOOTH_SIZE = 22 * BLOCK_COLUMNS
-FIRST = 3 * BLOCK_COLUMNS + 4  # of the tile in its smoothed block
-_LEVEL_TILES = 2  # tiles on each side that tell how dark it is beside a stripe
-_weights = np.exp(-0.5 * np.arange(5.0) ** 2)
-_G0, _G1, _G2, _G3, _G4 = (np.float32(w) for w in _weights / (_weights[0] + 2.0 * _weights[1:].sum()))
+FIRST = 3 * BLOCK_COLUMNS + 5  # of the tile in its smoothed block
+_ABOVE, _LEFT = 6, 8  # of the tile in its block
+_weights = np.exp(-0.5 * np.arange(4.0) ** 2)
+_G0, _G1, _G2, _G3 = (np.float32(w) for w in _weights / (_weights[0] + 2.0 * _weights[1:].sum()))
 
 
 @compiled
 @no_type_check
-def sweep(pixels: np.ndarray, size: int, tops: np.ndarray, lows: np.ndarray) -> None:
-    """Highest mean of 2 x 2 values in each tile, and the lowest of the highest ones in some of its columns.
+def sweep(image: np.ndarray, scale: float, tops: np.ndarray, lows: np.ndarray) -> None:
+    """Highest and lowest of the highest values in the columns of each tile, times ``scale``.
 
-    Means of four have half the noise of a value, and a ridge stands out of them about as clearly as out of the smoothed image.
+    The highest is that of means of two columns, so that a single pixel counts half; the lowest is that of four of the columns.
     """
-    w = pixels.shape[1] // size
-    if size == 1:
-        _sweep(pixels, np.empty(w + TILE, np.uint16), 0, tops, lows)
-    elif size == 2:
-        _sweep(pixels.view(np.uint16), np.empty(w + TILE, np.uint32), 0, tops, lows)
-    else:
-        _sweep(pixels.view(np.float32), np.empty(w + TILE, np.float32), -np.inf, tops, lows)
-
-
-@compiled
-@no_type_check
-def _sweep(image: np.ndarray, sums: np.ndarray, lowest: float, tops: np.ndarray, lows: np.ndarray) -> None:
-    """The same, of values of any kind; a number in ``sums`` can hold the sum of four."""
     h, w = image.shape
-    half = np.empty(w + TILE, sums.dtype)
+    high = np.empty((tops.shape[1] + 1) * TILE, image.dtype)
+    half = np.empty(len(high), image.dtype)
     last = h - 1
     for a in range(tops.shape[0]):
         top = a * TILE
-        sums[:] = lowest
+        high[:] = 0
         for i in range(top, min(top + TILE, h), 4):
-            r0, r1, r2, r3 = image[i], image[min(i + 1, last)], image[min(i + 2, last)], image[min(i + 3, last)]
-            _raise_to_sums(r0, r1, r2, r3, sums)
-        for j in range(w - 1, w + TILE):
-            sums[j] = sums[w - 2]
-        _row_extremes(sums, half, tops[a], lows[a])
+            _raise_to(image[i], image[min(i + 1, last)], image[min(i + 2, last)], image[min(i + 3, last)], high[:w])
+        for j in range(w, len(high)):
+            high[j] = high[w - 1]
+        _row_extremes(high, half, np.float32(scale), tops[a], lows[a])
 
 
 @compiled
 @no_type_check
-def _raise_to_sums(r0: np.ndarray, r1: np.ndarray, r2: np.ndarray, r3: np.ndarray, sums: np.ndarray) -> None:
-    """Raise the numbers in ``sums`` to the sums of 2 x 2 values of the first two rows, and of the last two."""
-    wide = sums.dtype.type
-    for j in range(len(r0) - 1):
-        upper = wide(wide(wide(r0[j]) + wide(r1[j])) + wide(wide(r0[j + 1]) + wide(r1[j + 1])))
-        lower = wide(wide(wide(r2[j]) + wide(r3[j])) + wide(wide(r2[j + 1]) + wide(r3[j + 1])))
-        sums[j] = max(sums[j], max(upper, lower))
+def _raise_to(r0: np.ndarray, r1: np.ndarray, r2: np.ndarray, r3: np.ndarray, high: np.ndarray) -> None:
+    """Raise the values in ``high`` to those of four rows."""
+    for j in range(len(high)):
+        high[j] = max(high[j], max(max(r0[j], r1[j]), max(r2[j], r3[j])))
 
 
 @compiled
 @no_type_check
-def _row_extremes(high: np.ndarray, half: np.ndarray, top: np.ndarray, low: np.ndarray) -> None:
-    """A quarter of the largest of each 16 sums, and of the smallest of four of them."""
-    n = len(half) - TILE
-    quarter = np.float32(0.25)
+def _row_extremes(high: np.ndarray, half: np.ndarray, scale: float, top: np.ndarray, low: np.ndarray) -> None:
+    """The largest mean of two neighbours in each 16 values, and the smallest of four of them."""
+    n = len(high) - TILE
+    value = high.dtype.type
     for b in range(len(low)):
         j = b * TILE
-        low[b] = quarter * min(min(high[j], high[j + 4]), min(high[j + 8], high[j + 12]))
-    for j in range(n + 8):
-        half[j] = max(high[j], high[j + 8])
-    for j in range(n + 4):
-        high[j] = max(half[j], half[j + 4])
-    for j in range(n + 2):
-        half[j] = max(high[j], high[j + 2])
+        low[b] = scale * np.float32(min(min(high[j], high[j + 4]), min(high[j + 8], high[j + 12])))
+    for j in range(n + 15):
+        half[j] = value((np.int32(high[j]) + np.int32(high[j + 1]) + 1) >> 1)
+    for j in range(n + 7):
+        high[j] = max(half[j], half[j + 8])
+    for j in range(n + 3):
+        half[j] = max(high[j], high[j + 4])
     for b in range(len(top)):
         j = b * TILE
-        top[b] = quarter * max(half[j], half[j + 1])
+        top[b] = scale * np.float32(max(max(half[j], half[j + 1]), max(half[j + 2], half[j + 3])))
 
 
 @compiled
 @no_type_check
 def bright_tiles(tops: np.ndarray, lows: np.ndarray, least: float, queue: np.ndarray) -> int:
-    """Number the tiles in the queue whose highest value is more than ``least`` above the darkest columns around; returns how many."""
+    """Number the tiles in the queue whose highest value is more than ``least`` above the lowest of them and the eight around; returns how many.
+
+    The last tiles come first: they have been read most recently.
+    """
     rows, columns = tops.shape
+    low = np.empty(columns + 2, np.float32)
     limit = np.empty(columns, np.float32)
-    above = np.full(columns + 2 * _LEVEL_TILES, np.inf, np.float32)
+    low[0] = low[columns + 1] = np.inf
+    height = np.float32(least)
     n = 0
-    for a in range(rows):
+    for a in range(rows - 1, -1, -1):
+        above, own, below, top = lows[max(a - 1, 0)], lows[a], lows[min(a + 1, rows - 1)], tops[a]
         for b in range(columns):
-            above[b + _LEVEL_TILES] = lows[a, b]
-        for i in range(max(a - _LEVEL_TILES, 0), min(a + _LEVEL_TILES + 1, rows)):
-            for b in range(columns):
-                above[b + _LEVEL_TILES] = min(above[b + _LEVEL_TILES], lows[i, b])
-        found = 0
+            low[b + 1] = min(own[b], min(above[b], below[b]))
+        found = np.int32(0)
         for b in range(columns):
-            lowest = min(min(above[b], above[b + 1]), min(above[b + 3], above[b + 4]))
-            limit[b] = min(lowest, above[b + 2]) + least
-            found += tops[a, b] > limit[b]
+            limit[b] = min(low[b + 1], min(low[b], low[b + 2])) + height
+            found += np.int32(top[b] > limit[b])
         if found > 0:
             for b in range(columns):
-                if tops[a, b] > limit[b]:
+                if top[b] > limit[b]:
                     queue[n] = a * columns + b
                     n += 1
     return n
@@ -115,7 +100,7 @@ def bright_tiles(tops: np.ndarray, lows: np.ndarray, least: float, queue: np.nda
 
 @compiled
 @no_type_check
-def _mirrored(i: int, n: int) -> int:
+def mirrored(i: int, n: int) -> int:
     """Index within n of a place beyond the border, mirrored at the middle of the outermost pixel."""
     while i < 0 or i >= n:
         i = -i if i < 0 else 2 * (n - 1) - i
@@ -124,42 +109,9 @@ def _mirrored(i: int, n: int) -> int:
 
 @compiled
 @no_type_check
-def _gather(pixels: np.ndarray, size: int, a: int, b: int, raw: np.ndarray, block: np.ndarray) -> None:
-    """The block of a tile."""
-    h, w = pixels.shape[0], pixels.shape[1] // size
-    top, left = a * TILE - _ABOVE, b * TILE - _LEFT
-    length = BLOCK_COLUMNS * size
-    if top >= 0 and left >= 0 and top + BLOCK_ROWS <= h and left + BLOCK_COLUMNS <= w:
-        # unsigned numbers never count from the end; so this becomes vector instructions
-        row, column, n = np.uint64(top), np.uint64(left * size), np.uint64(length)
-        for i in range(np.uint64(BLOCK_ROWS)):
-            for j in range(n):
-                raw[i * n + j] = pixels[row + i, column + j]
-    else:
-        for i in range(BLOCK_ROWS):
-            line = pixels[_mirrored(top + i, h)]
-            for j in range(BLOCK_COLUMNS):
-                at = _mirrored(left + j, w) * size
-                for k in range(size):
-                    raw[i * length + j * size + k] = line[at + k]
-    if size == 1:
-        for t in range(BLOCK_ROWS * BLOCK_COLUMNS):
-            block[t] = raw[t]
-    elif size == 2:
-        words = raw.view(np.uint16)
-        for t in range(BLOCK_ROWS * BLOCK_COLUMNS):
-            block[t] = words[t]
-    else:
-        values = raw.view(np.float32)
-        for t in range(BLOCK_ROWS * BLOCK_COLUMNS):
-            block[t] = values[t]
-
-
-@compiled
-@no_type_check
 def smooth_tile(
-    pixels: np.ndarray,
-    size: int,
+    image: np.ndarray,
+    scale: float,
     a: int,
     b: int,
     raw: np.ndarray,
@@ -167,83 +119,81 @@ def smooth_tile(
     half: np.ndarray,
     smooth: np.ndarray,
 ) -> None:
-    """Smooth a tile, and three pixels around it, by a Gaussian of one pixel; the tile begins at ``smooth[FIRST]``."""
-    _gather(pixels, size, a, b, raw, block)
+    """Smooth a tile times ``scale``, and three pixels around it, by a Gaussian of one pixel; the tile begins at ``smooth[FIRST]``."""
+    h, w = image.shape
+    top, left = a * TILE - _ABOVE, b * TILE - _LEFT
+    factor = np.float32(scale)
+    if top >= 0 and left >= 0 and top + BLOCK_ROWS <= h and left + BLOCK_COLUMNS <= w:
+        # unsigned numbers never count from the end; so this becomes vector instructions
+        row, column = np.uint64(top), np.uint64(left)
+        for i in range(np.uint64(BLOCK_ROWS)):
+            for j in range(np.uint64(BLOCK_COLUMNS)):
+                raw[i * np.uint64(BLOCK_COLUMNS) + j] = image[row + i, column + j]
+    else:
+        for i in range(BLOCK_ROWS):
+            line = image[mirrored(top + i, h)]
+            for j in range(BLOCK_COLUMNS):
+                raw[i * BLOCK_COLUMNS + j] = line[mirrored(left + j, w)]
+    for t in range(BLOCK_SIZE):
+        block[t] = factor * np.float32(raw[t])
+    smooth_block(block, half, smooth)
+
+
+@compiled
+@no_type_check
+def smooth_block(block: np.ndarray, half: np.ndarray, smooth: np.ndarray) -> None:
+    """Smooth a block; ``half`` has six numbers more than ``smooth``."""
     for t in range(SMOOTH_SIZE):
         half[t] = (
-            _G0 * block[t + 128]
-            + _G1 * (block[t + 96] + block[t + 160])
-            + _G2 * (block[t + 64] + block[t + 192])
-            + _G3 * (block[t + 32] + block[t + 224])
-            + _G4 * (block[t] + block[t + 256])
+            _G0 * block[t + 96]
+            + _G1 * (block[t + 64] + block[t + 128])
+            + _G2 * (block[t + 32] + block[t + 160])
+            + _G3 * (block[t] + block[t + 192])
         )
-    for t in range(SMOOTH_SIZE - 8):
+    for t in range(SMOOTH_SIZE):
         smooth[t] = (
-            _G0 * half[t + 4]
-            + _G1 * (half[t + 3] + half[t + 5])
-            + _G2 * (half[t + 2] + half[t + 6])
-            + _G3 * (half[t + 1] + half[t + 7])
-            + _G4 * (half[t] + half[t + 8])
+            _G0 * half[t + 3]
+            + _G1 * (half[t + 2] + half[t + 4])
+            + _G2 * (half[t + 1] + half[t + 5])
+            + _G3 * (half[t] + half[t + 6])
         )
 
 
 @compiled
 @no_type_check
-def tile_peaks(smooth: np.ndarray, step: int, limit: float, bit: np.ndarray, peaks: np.ndarray) -> bool:
+def tile_peaks(smooth: np.ndarray, step: int, limit: float, peaks: np.ndarray) -> bool:
     """Pixels that are the highest within three pixels, and more than the limit higher than both of those three away.
 
-    ``step`` is from one pixel to the next across the ridge: 1 for steep ones, the length of a row for flat ones. ``peaks[32 i]`` has bit j set
-    where pixel (i, j) of the tile is one, by ``bit[32 i + j] = 2^j`` (0 beside the tile). Returns whether there is one.
+    ``step`` is from one pixel to the next across the ridge: 1 for steep ones, the length of a row for flat ones. ``peaks[32 i + j]`` tells it of
+    pixel (i, j) of the tile. Returns whether there is one.
     """
-    n = TILE * BLOCK_COLUMNS - 8
-    middle, bits, out = smooth[FIRST:], bit[:n], peaks[:n]
+    n = TILE * BLOCK_COLUMNS - 16
+    middle, out = smooth[FIRST:], peaks[:n]
     before, after = smooth[FIRST - step :], smooth[FIRST + step :]
     before2, after2 = smooth[FIRST - 2 * step :], smooth[FIRST + 2 * step :]
     before3, after3 = smooth[FIRST - 3 * step :], smooth[FIRST + 3 * step :]
     least = np.float32(limit)
-    some = np.uint16(0)
+    some = np.uint8(0)
     for k in range(np.uint64(n)):
         value = middle[k]
         highest = (value > max(before[k], before2[k])) & (value >= max(after[k], after2[k]))
-        highest &= value - max(before3[k], after3[k]) > least
-        out[k] = bits[k] if highest else np.uint16(0)
+        out[k] = np.uint8(highest & (value - max(before3[k], after3[k]) > least))
         some |= out[k]
-    if some == 0:
-        return False
-    for k in range(n):  # ascending, so that what is read has not been written
-        peaks[k] |= peaks[k + 8]
-    for k in range(n):
-        peaks[k] |= peaks[k + 4]
-    for k in range(n):
-        peaks[k] |= peaks[k + 2]
-    for k in range(n):
-        peaks[k] |= peaks[k + 1]
-    return True
+    return some != 0
 
 
 @compiled
 @no_type_check
-def half_size(pixels: np.ndarray, size: int) -> np.ndarray:
-    """Means of 2 x 2 values of an image that is given as bytes, ``size`` of them a value."""
-    h, w = pixels.shape[0] // 2, pixels.shape[1] // (2 * size)
-    out = np.empty((h, w), np.float32)
-    sums = np.empty(2 * w, np.float32)
-    for i in range(h):
-        if size == 1:
-            _add_rows(pixels[2 * i], pixels[2 * i + 1], sums)
-        elif size == 2:
-            _add_rows(pixels[2 * i].view(np.uint16), pixels[2 * i + 1].view(np.uint16), sums)
-        else:
-            _add_rows(pixels[2 * i].view(np.float32), pixels[2 * i + 1].view(np.float32), sums)
-        row = out[i]
-        for j in range(w):
-            row[j] = np.float32(0.25) * (sums[2 * j] + sums[2 * j + 1])
-    return out
-
-
-@compiled
-@no_type_check
-def _add_rows(upper: np.ndarray, lower: np.ndarray, out: np.ndarray) -> None:
-    """Sum of two rows."""
-    for j in range(len(out)):
-        out[j] = np.float32(upper[j]) + np.float32(lower[j])
+def half_size(image: np.ndarray, divisor: int, out: np.ndarray) -> None:
+    """Sums of 2 x 2 values, divided by 1 or 4."""
+    bits, half = (0, 0) if divisor == 1 else (2, 2)
+    for i in range(out.shape[0]):
+        upper, lower, to = image[2 * i], image[2 * i + 1], out[i]
+        for j in range(len(to)):
+            total = (
+                np.int32(upper[2 * j])
+                + np.int32(upper[2 * j + 1])
+                + np.int32(lower[2 * j])
+                + np.int32(lower[2 * j + 1])
+            )
+            to[j] = np.uint16((total + half) >> bits)

@@ -134,21 +134,19 @@ def test_the_noise_of_a_camera_changes_nothing(noise, dark):
         assert min(shares(stripe.uv, expected)) >= 0.97
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("size", [(48, 64), (37, 53), (7, 7), (17, 33)])
-def test_the_sweep_sees_every_pair_of_rows(dtype, size):
+def test_the_sweep_sees_every_pixel(dtype, size):
     image = np.random.default_rng(7).uniform(0, 255, size).astype(dtype)
     h, w = size
     rows, columns = -(-h // 16), -(-w // 16)
     tops, lows = np.empty((2, rows, columns), dtype=np.float32)
-    sweep(image.view(np.uint8), image.itemsize, tops, lows)
-    whole = np.vstack([image, image[-1:]]).astype(float)  # the last row stands for one that is missing
-    means = 0.25 * (whole[:-1:2, :-1] + whole[:-1:2, 1:] + whole[1::2, :-1] + whole[1::2, 1:])
-    means = np.pad(means, ((0, 0), (0, 16 * columns - means.shape[1])), mode="edge")
+    sweep(image, 0.5, tops, lows)
     for a in range(rows):
-        highest = means[8 * a : 8 * a + 8].max(axis=0).reshape(columns, 16)
-        assert np.allclose(tops[a], highest.max(axis=1), rtol=1e-6)
-        assert np.allclose(lows[a], highest[:, ::4].min(axis=1), rtol=1e-6)
+        high = np.pad(image[16 * a : 16 * a + 16].max(axis=0).astype(float), (0, 16 * columns + 1 - w), mode="edge")
+        means = np.floor(0.5 * (high[:-1] + high[1:] + 1.0)).reshape(columns, 16)
+        assert np.allclose(tops[a], 0.5 * means.max(axis=1))
+        assert np.allclose(lows[a], 0.5 * high[:-1].reshape(columns, 16)[:, ::4].min(axis=1))
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 6, 801])
@@ -170,9 +168,9 @@ def test_noise_alone_is_no_stripe(noise):
 def test_a_thin_stripe_in_the_dark_needs_no_smaller_size_and_a_wide_one_does():
     """What is fast stays fast."""
     for name in ("vertical", "horizontal", "between", "diagonal", "curved", "pieces", "bright and faint"):
-        assert find_module._search(camera(STRIPES[name]), 6.0, 2.0, 1.0, False)[1], name
+        assert find_module._search(camera(STRIPES[name]), 1.0, 6.0, 2.0, 1.0, False)[1], name
     for name in ("wide", "very wide", "faint and wide", "thin with a wide ghost"):
-        assert not find_module._search(camera(STRIPES[name]), 6.0, 2.0, 1.0, False)[1], name
+        assert not find_module._search(camera(STRIPES[name]), 1.0, 6.0, 2.0, 1.0, False)[1], name
 
 
 def test_chains_are_in_order_and_strongest_first():
