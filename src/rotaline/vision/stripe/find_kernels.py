@@ -70,13 +70,12 @@ def search(
     h, w = image.shape
     rows, columns = -(-h // TILE), -(-w // TILE)
     n_tiles = rows * columns
-    raw = np.empty(BLOCK_SIZE, image.dtype)
     block, half = np.empty(BLOCK_SIZE, np.float32), np.zeros(SMOOTH_SIZE + TILE, np.float32)
     smooth, limits = np.empty(SMOOTH_SIZE, np.float32), np.empty(2, np.float32)
     tops, lows = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
     if effort != EVERYWHERE:
         sweep(image, scale, tops, lows)
-    by_noise = _limits(image, scale, rows, columns, threshold, floor, effort, raw, block, half, smooth, limits)
+    by_noise = _limits(image, scale, rows, columns, threshold, floor, effort, block, half, smooth, limits)
     queue, number = np.empty(n_tiles, np.int32), np.full(n_tiles, -1, np.int32)
     if effort == EVERYWHERE:
         n_queue = n_tiles
@@ -103,7 +102,7 @@ def search(
             room *= 4
             where, what = _larger(where, room), _larger(what, room)
         a, b = queue[done] // columns, queue[done] % columns
-        smooth_tile(image, scale, a, b, raw, block, half, smooth)
+        smooth_tile(image, scale, a, b, block, half, smooth)
         low = lowest(smooth)
         light[done], height[done] = bright_pixels(smooth, low, dim, a * TILE, b * TILE, h, w, half, peaks, words)
         near = 0
@@ -246,7 +245,6 @@ def _limits(
     threshold: float,
     floor: float,
     effort: int,
-    raw: np.ndarray,
     block: np.ndarray,
     half: np.ndarray,
     smooth: np.ndarray,
@@ -263,13 +261,13 @@ def _limits(
     least = np.inf
     for tiles in (_FEW, many):
         number = min(tiles, rows * columns)
-        first, step = (0, 1) if rows * columns <= _FEW else (0, 2) if tiles == _FEW else (2, 5)
+        first, step = (0, 1) if rows * columns <= _FEW else (0, 4) if tiles == _FEW else (2, 5)
         count[0] = count[1] = 0
         for k in range(number):
             tile = k * rows * columns // number
             tile += k * 7 % ((k + 1) * rows * columns // number - tile)  # not all in the same columns
             top, left = tile // columns * TILE, tile % columns * TILE
-            smooth_tile(image, scale, tile // columns, tile % columns, raw, block, half, smooth)
+            smooth_tile(image, scale, tile // columns, tile % columns, block, half, smooth)
             for i in range(first, min(TILE, h - top), step):
                 t = FIRST + i * BLOCK_COLUMNS
                 low, high = max(3 - left, 0), min(TILE, w - 3 - left)

@@ -55,9 +55,10 @@ def link(
             i = lines[k]
             low, high = first[i + gap], first[i + gap + 1]
             if low < high:
-                m = _nearest(places, low, high, places[k])
+                m = low if high - low == 1 else _nearest(places, low, high, places[k])
                 near = not linked[m] and abs(places[m] - places[k]) <= gap + 1
-                if near and _nearest(places, first[i], first[i + 1], places[m]) == k:
+                alone = first[i + 1] - first[i] == 1
+                if near and (alone or _nearest(places, first[i], first[i + 1], places[m]) == k):
                     successor[k] = m
                     linked[m] = True
                     continue

@@ -114,7 +114,6 @@ def smooth_tile(
     scale: float,
     a: int,
     b: int,
-    raw: np.ndarray,
     block: np.ndarray,
     half: np.ndarray,
     smooth: np.ndarray,
@@ -124,19 +123,26 @@ def smooth_tile(
     top, left = a * TILE - _ABOVE, b * TILE - _LEFT
     factor = np.float32(scale)
     if top >= 0 and left >= 0 and top + BLOCK_ROWS <= h and left + BLOCK_COLUMNS <= w:
-        # unsigned numbers never count from the end; so this becomes vector instructions
-        row, column = np.uint64(top), np.uint64(left)
-        for i in range(np.uint64(BLOCK_ROWS)):
-            for j in range(np.uint64(BLOCK_COLUMNS)):
-                raw[i * np.uint64(BLOCK_COLUMNS) + j] = image[row + i, column + j]
+        part = image[top : top + BLOCK_ROWS, left : left + BLOCK_COLUMNS]
+        for i in range(0, BLOCK_ROWS, 4):
+            rows = block[i * BLOCK_COLUMNS : (i + 4) * BLOCK_COLUMNS]
+            _scale_rows(part[i], part[i + 1], part[i + 2], part[i + 3], factor, rows)
     else:
         for i in range(BLOCK_ROWS):
             line = image[mirrored(top + i, h)]
             for j in range(BLOCK_COLUMNS):
-                raw[i * BLOCK_COLUMNS + j] = line[mirrored(left + j, w)]
-    for t in range(BLOCK_SIZE):
-        block[t] = factor * np.float32(raw[t])
+                block[i * BLOCK_COLUMNS + j] = factor * np.float32(line[mirrored(left + j, w)])
     smooth_block(block, half, smooth)
+
+
+@compiled
+@no_type_check
+def _scale_rows(r0: np.ndarray, r1: np.ndarray, r2: np.ndarray, r3: np.ndarray, scale: float, out: np.ndarray) -> None:
+    """Four rows of a block, one after the other: so many at once, since each loop has to be prepared."""
+    n = np.uint64(BLOCK_COLUMNS)  # unsigned numbers never count from the end; so this becomes vector instructions
+    for j in range(n):
+        out[j], out[j + n] = scale * np.float32(r0[j]), scale * np.float32(r1[j])
+        out[j + n + n], out[j + n + n + n] = scale * np.float32(r2[j]), scale * np.float32(r3[j])
 
 
 @compiled
