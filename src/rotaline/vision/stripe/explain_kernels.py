@@ -12,7 +12,9 @@ from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.tile_kernels import (
     BLOCK_COLUMNS,
     BLOCK_ROWS,
+    BLOCK_SIZE,
     FIRST,
+    SMOOTH_SIZE,
     TILE,
     mirrored,
     smooth_block,
@@ -26,7 +28,6 @@ _FALL = 3.7  # px^2; the fall over 3 px across tells the width: this for a strip
 _WING = 0.05  # of the height of a chain; what is fainter beside it is taken for its foot
 _BORDER = 6  # px along the border of the image, where no smaller size has candidates
 _FEW = 2  # of every fourth pixel of a tile; a ridge that only a smaller size shows has more
-_MANY = 24  # tiles; rather than in so many one looks in the whole image
 _COLUMN = np.uint64(0x0101010101010101)
 _EVEN, _PACK, _FOUR = (
     np.uint64(0x0001000100010001),
@@ -166,37 +167,42 @@ def cover(
 
 @compiled
 @no_type_check
-def bright_beside(
-    image: np.ndarray,
-    scale: float,
-    light: np.ndarray,
+def left_over(
+    n_tiles: int,
+    rows: int,
+    columns: int,
     height: np.ndarray,
     queue: np.ndarray,
     number: np.ndarray,
-    columns: int,
-    limits: np.ndarray,
-    block: np.ndarray,
-    half: np.ndarray,
-    smooth: np.ndarray,
-    peaks: np.ndarray,
-) -> bool:
-    """Whether there are ridges in the half or the quarter size of the image where bright pixels are left in the tiles of the queue."""
-    seen = 0
-    for k in range(len(queue)):
+    light: np.ndarray,
+) -> int:
+    """Move the tiles with bright pixels that are more than the foot of a stripe to the front of the queue; returns how many."""
+    n = 0
+    for k in range(n_tiles):
         if _count(light[k]) < _FEW:
             continue
         a, b = queue[k] // columns, queue[k] % columns
         highest = np.float32(0.0)
-        for i in range(max(a - 1, 0), min(a + 2, len(number) // columns)):
+        for i in range(max(a - 1, 0), min(a + 2, rows)):
             for j in range(max(b - 1, 0), min(b + 2, columns)):
                 if number[i * columns + j] >= 0:
                     highest = max(highest, height[number[i * columns + j]])
-        if height[k] < _WING * highest:
-            continue
-        seen += 1
-        if seen > _MANY:
-            return True
-        least = min(limits[0], limits[1])
+        if height[k] >= _WING * highest:
+            queue[n], light[n] = queue[k], light[k]
+            n += 1
+    return n
+
+
+@compiled
+@no_type_check
+def ridges_beside(
+    image: np.ndarray, scale: float, tiles: np.ndarray, light: np.ndarray, columns: int, least: float
+) -> bool:
+    """Whether there are ridges in the half or the quarter size of the image where pixels of these tiles are bright."""
+    block, half = np.empty(BLOCK_SIZE, np.float32), np.zeros(SMOOTH_SIZE + TILE, np.float32)
+    smooth, peaks = np.empty(SMOOTH_SIZE, np.float32), np.zeros(TILE * BLOCK_COLUMNS, np.uint8)
+    for k in range(len(tiles)):
+        a, b = tiles[k] // columns, tiles[k] % columns
         for factor in (2, 4):
             _smaller_block(image, scale, a // factor, b // factor, factor, block)
             smooth_block(block, half, smooth)

@@ -10,25 +10,30 @@ bright beside the chains. In a frame with a thin stripe in the dark that never h
 
 import threading
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, UInt8, UInt16
 
 from rotaline.vision.images import Image
+from rotaline.vision.stripe.assemble_kernels import assemble
 from rotaline.vision.stripe.channels import STEPS, channels_of, measuring_channel, plane_of, score_image, steps_of
-from rotaline.vision.stripe.find_kernels import CAREFUL, EVERYWHERE, QUICK, search
+from rotaline.vision.stripe.explain_kernels import ridges_beside
+from rotaline.vision.stripe.find_kernels import CAREFUL, EVERYWHERE, QUICK, candidates
 from rotaline.vision.stripe.found import FoundStripe
 from rotaline.vision.stripe.options import StripeOptions
 from rotaline.vision.stripe.plane import Plane
 from rotaline.vision.stripe.settle_kernels import choose, compete
 from rotaline.vision.stripe.signal import CLEAR, score_names
-from rotaline.vision.stripe.tile_kernels import half_size
+from rotaline.vision.stripe.tile_kernels import TILE, half_size
 
 Values = UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]
 _LEVELS = 3
 _LEAST_SIZE = 16  # px; of a smaller image no half is made
 _LEAST_SEARCHED = 7  # px
 _LAST_MARK = 255
+_CLEAR = 1.5  # limits: to a stripe as prominent the exact limit, and what stands out by less, does not matter
+_FEW_LEFT = 24  # tiles; where more are not explained, the whole image is looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,29 +79,44 @@ class Chosen:
     length_px: float
 
 
-class _Maps(threading.local):
-    """Work space of one thread: for images of one size a map of marks and one of zeros.
+class _Space(threading.local):
+    """Work space of one thread, for images of one size: a map of marks and one of zeros, tiles, and candidates.
 
-    A map is marked with a new number each time, so that it need not be wiped.
+    The map is marked with a new number each time, so that it need not be wiped.
     """
 
     def __init__(self) -> None:
-        self.marks, self.zeros = np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=np.float32)
+        self.shape: tuple[int, ...] = (0, 0)
         self.mark = 0
+        self.more_room(4096)
 
-    def unmarked(self, shape: tuple[int, ...]) -> tuple[np.ndarray, int, np.ndarray]:
+    def fit(self, shape: tuple[int, ...]) -> None:
+        """Make everything that depends on the size of the image."""
+        if self.shape == shape:
+            return
+        rows, columns = -(-shape[0] // TILE), -(-shape[1] // TILE)
+        self.shape, self.mark = shape, 0
+        self.marks, self.zeros = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.float32)
+        self.tiles = np.zeros((3, rows, columns), dtype=np.float32)
+        self.order, self.light = (
+            np.zeros((2, rows * columns), dtype=np.int32),
+            np.zeros(rows * columns, dtype=np.uint64),
+        )
+
+    def more_room(self, n: int) -> None:
+        """Make room for ``n`` candidates of each kind."""
+        self.where, self.what = np.zeros((4, n), dtype=np.int32), np.zeros((4, n), dtype=np.float32)
+
+    def unmarked(self) -> tuple[np.ndarray, int, np.ndarray]:
         """The map of marks, a number that is nowhere in it, and the map of zeros."""
-        if self.marks.shape != shape:
-            self.marks, self.zeros = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.float32)
-            self.mark = 0
-        elif self.mark == _LAST_MARK:
+        if self.mark == _LAST_MARK:
             self.marks.fill(0)
             self.mark = 0
         self.mark += 1
         return self.marks, self.mark, self.zeros
 
 
-_maps = _Maps()
+_space = _Space()
 
 
 def find(image: Image, background: Image | None, options: StripeOptions) -> tuple[FoundStripe, Plane]:
@@ -154,31 +174,48 @@ def find_chains(
     rounding : float   step of the grey values; 0 where they are not rounded
     everywhere : bool   search every tile in all three sizes, and not only those where something may be
     """
-    chains, explained = _search(image, 1.0, threshold, floor, rounding, everywhere)
+    chains, chosen, explained = _search(image, 1.0, threshold, floor, min_length_px, rounding, everywhere)
     if everywhere or not explained:
-        chains = _with_smaller_sizes(chains, image, threshold, floor, everywhere)
-    uv, prominence, chain, scale, steep, crowded, strength, usual, length = choose(
-        chains.line, chains.place, chains.prominence, chains.steep, chains.factor, chains.begin, chains.end,
-        chains.chain, min_length_px,
-    )  # fmt: skip
+        chains = _with_smaller_sizes(chains, image, threshold, floor, min_length_px, everywhere)
+        chosen = choose(
+            chains.line, chains.place, chains.prominence, chains.steep, chains.factor, chains.begin, chains.end,
+            chains.chain, min_length_px,
+        )  # fmt: skip
+    uv, prominence, chain, scale, steep, crowded, strength, usual, length = chosen
     return Chosen(FoundStripe(uv, chain, scale, crowded), prominence, steep, strength, usual, length)
 
 
 def _search(
-    image: Values, scale: float, threshold: float, floor: float, rounding: float, everywhere: bool
-) -> tuple[Chains, bool]:
-    """Chains of one size of an image, of which a step stands for ``scale`` grey values, and whether no smaller size is needed."""
-    if min(image.shape) < _LEAST_SEARCHED:
-        none, true = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.bool_)
-        return Chains(none, none, none.astype(np.float32), np.zeros(1, dtype=np.int32), true, *[none] * 4), True
-    values = _readable(image)
+    image: Values, scale: float, threshold: float, floor: float, min_length_px: float, rounding: float, everywhere: bool
+) -> tuple[Chains, tuple[Any, ...], bool]:
+    """Chains of one size of an image, of which a step stands for ``scale`` grey values; the stripe by these alone; and whether no smaller size is
+    needed.
+    """
+    h, w = image.shape
+    if min(h, w) < _LEAST_SEARCHED:
+        image, (h, w) = np.zeros((_LEAST_SEARCHED, _LEAST_SEARCHED), dtype=np.uint8), (_LEAST_SEARCHED,) * 2
+    values, space = _readable(image), _space
+    space.fit((h, w))
     for effort in (EVERYWHERE,) if everywhere else (QUICK, CAREFUL):
-        *found, explained, clear = search(
-            values, scale, threshold, floor, rounding, effort, *_maps.unmarked(image.shape)
-        )
-        if clear:
+        n_tiles = -1
+        while n_tiles < 0:
+            n_tiles, n_steep, n_flat, least, least_flat, by_noise = candidates(
+                values, scale, threshold, floor, rounding, effort, space.tiles, space.order, space.light, space.where,
+                space.what,
+            )  # fmt: skip
+            if n_tiles < 0:
+                space.more_room(4 * space.where.shape[1])
+        *found, chosen, left = assemble(
+            n_tiles, n_steep, n_flat, h, w, space.tiles, space.order, space.light, space.where, space.what,
+            min_length_px, *space.unmarked(),
+        )  # fmt: skip
+        if by_noise < floor or chosen[-2] > _CLEAR * max(least, least_flat):
             break
-    return Chains(*found), explained
+    explained = left == 0
+    if 0 < left <= _FEW_LEFT:
+        tiles, light = space.order[0, :left], space.light[:left]
+        explained = not ridges_beside(values, scale, tiles, light, space.tiles.shape[2], min(least, least_flat))
+    return Chains(*found), chosen, explained
 
 
 def _readable(image: Values) -> Values:
@@ -188,7 +225,9 @@ def _readable(image: Values) -> Values:
     return view
 
 
-def _with_smaller_sizes(full: Chains, image: Values, threshold: float, floor: float, everywhere: bool) -> Chains:
+def _with_smaller_sizes(
+    full: Chains, image: Values, threshold: float, floor: float, min_length_px: float, everywhere: bool
+) -> Chains:
     """The chains of the full size with those of the half and the quarter size, after all of them have competed."""
     sizes, factors, shape, scale = [full], [full.factor], image.shape, 1.0
     divided_by, step = (
@@ -200,7 +239,7 @@ def _with_smaller_sizes(full: Chains, image: Values, threshold: float, floor: fl
         smaller = np.empty((image.shape[0] // 2, image.shape[1] // 2), dtype=np.uint16)
         half_size(_readable(image), divided_by, smaller)
         image, scale = smaller, scale * step
-        sizes.append(_search(image, scale, threshold, floor, 0.0, everywhere)[0])
+        sizes.append(_search(image, scale, threshold, floor, min_length_px, 0.0, everywhere)[0])
         factors.append(sizes[-1].factor * np.int32(2**level))
     line, place, prominence, steep = (
         np.concatenate([getattr(one, name) for one in sizes]) for name in ("line", "place", "prominence", "steep")
@@ -208,5 +247,6 @@ def _with_smaller_sizes(full: Chains, image: Values, threshold: float, floor: fl
     lengths = np.concatenate([np.diff(one.start) for one in sizes])
     start = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
     factor = np.concatenate(factors)
-    parts = compete(line, place, prominence, start, steep, factor, *_maps.unmarked(shape))
+    _space.fit(shape)
+    parts = compete(line, place, prominence, start, steep, factor, *_space.unmarked())
     return Chains(line, place, prominence, start, steep, factor, *parts)

@@ -1,13 +1,12 @@
-"""Candidates of ridges in the tiles of an image that can hold some, by the definition of :mod:`rotaline.vision.stripe.ridges`."""
+"""Candidates of ridges in the tiles of an image that can hold some, the only part of finding that reads the image, by the definition of :mod:`rotaline.vision.stripe.ridges`."""
 
 from typing import no_type_check
 
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.explain_kernels import DIM, bright_beside, bright_pixels, cover, lowest, too_wide
-from rotaline.vision.stripe.link_kernels import link
-from rotaline.vision.stripe.settle_kernels import compete, median
+from rotaline.vision.stripe.explain_kernels import DIM, bright_pixels, lowest
+from rotaline.vision.stripe.settle_kernels import median
 from rotaline.vision.stripe.tile_kernels import (
     BLOCK_COLUMNS,
     BLOCK_SIZE,
@@ -21,7 +20,6 @@ from rotaline.vision.stripe.tile_kernels import (
 )
 
 _FEW, _MANY, _MOST = 12, 96, 400  # tiles that tell the noise
-_CLEAR = 1.5  # limits: to a stripe as prominent the exact limit, and what stands out by less, does not matter
 QUICK, CAREFUL, EVERYWHERE = 0, 1, 2
 _LEAST_NOISE = 0.08
 _SURE = 1.25
@@ -34,18 +32,20 @@ _PER_TILE = 64  # candidates at most: they lie four pixels apart
 
 @compiled
 @no_type_check
-def search(
+def candidates(
     image: np.ndarray,
     scale: float,
     threshold: float,
     floor: float,
     rounding: float,
     effort: int,
-    taken: np.ndarray,
-    mark: int,
-    finest: np.ndarray,
+    tiles: np.ndarray,
+    order: np.ndarray,
+    light: np.ndarray,
+    where: np.ndarray,
+    what: np.ndarray,
 ) -> tuple:
-    """Chains of candidates of one image.
+    """Candidates of steep and of flat chains in one image.
 
     Parameters
     ----------
@@ -55,28 +55,29 @@ def search(
     floor : float   least prominence, grey values
     rounding : float   error of the grey values by which a ridge may stand out less in them
     effort : int   QUICK; CAREFUL, with more tiles, for stripes near the limit that the noise sets; or EVERYWHERE, in all tiles
-    taken : (h, w)   uint8, nowhere ``mark``, which is set here
-    finest : (h, w)   float32, zeros; zeros again afterwards
+    tiles : (3, rows, columns)   float32; of its last part the first ``n_tiles`` values become the heights of the tiles that were searched
+    order : (2, rows * columns)   int32; becomes the tiles that were searched, and for each tile when that was (-1 where it was not)
+    light : (rows * columns,)   uint64; becomes the bright pixels of the tiles that were searched
+    where : (4, m)   int32; becomes line and place of steep candidates, then of flat ones; the line is the row of steep ones, the column of flat ones
+    what : (4, m)   float32; becomes prominence, and height above what is dark around, of steep candidates, then of flat ones
 
     Returns
     -------
-    line, place, prominence : (n,)   of the points, in order along each chain; the line is the row of steep chains, the column of flat ones
-    start : (k + 1,)   where each chain begins
-    steep, factor : (k,)   the kind of each chain, and 1
-    begin, end, chain : (m,)   the parts of chains that no stronger one covers
-    plain : bool   nothing in the image needs to be looked at in a smaller size
-    clear : bool   more effort would not show more
+    n_tiles : int   tiles that were searched; negative if there is no room for their candidates
+    n_steep, n_flat : int   candidates
+    least_steep, least_flat : float   least prominence
+    by_noise : float   what it would be by the noise alone
     """
     h, w = image.shape
-    rows, columns = -(-h // TILE), -(-w // TILE)
+    tops, lows, height = tiles[0], tiles[1], tiles[2].reshape(-1)
+    queue, number = order[0], order[1]
+    rows, columns = tops.shape
     n_tiles = rows * columns
     block, half = np.empty(BLOCK_SIZE, np.float32), np.zeros(SMOOTH_SIZE + TILE, np.float32)
     smooth, limits = np.empty(SMOOTH_SIZE, np.float32), np.empty(2, np.float32)
-    tops, lows = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
     if effort != EVERYWHERE:
         sweep(image, scale, tops, lows)
     by_noise = _limits(image, scale, rows, columns, threshold, floor, effort, block, half, smooth, limits)
-    queue, number = np.empty(n_tiles, np.int32), np.full(n_tiles, -1, np.int32)
     if effort == EVERYWHERE:
         n_queue = n_tiles
         for k in range(n_tiles):
@@ -87,20 +88,18 @@ def search(
         if effort == QUICK and n_queue > _CROWD * n_tiles and by_noise >= floor:
             by_chance = n_queue - bright_tiles(tops, lows, _HIGHER * least, queue)
             n_queue = n_queue - by_chance if 2 * by_chance > n_queue else bright_tiles(tops, lows, least, queue)
+    for k in range(n_tiles):
+        number[k] = -1
     for k in range(n_queue):
         number[queue[k]] = k
-    room = _PER_TILE * 32
-    where, what = np.empty((4, room), np.int32), np.empty((4, room), np.float32)
     peaks = np.zeros(TILE * BLOCK_COLUMNS, np.uint8)
     words = peaks.view(np.uint64)
-    light, height = np.empty(n_tiles, np.uint64), np.empty(n_tiles, np.float32)
     dim = DIM * min(limits[0], limits[1])
     count = np.zeros(2, np.int64)
     done = 0
     while done < n_queue:
-        if max(count[0], count[1]) + _PER_TILE > room:
-            room *= 4
-            where, what = _larger(where, room), _larger(what, room)
+        if max(count[0], count[1]) + _PER_TILE > where.shape[1]:
+            return -1, 0, 0, 0.0, 0.0, 0.0
         a, b = queue[done] // columns, queue[done] % columns
         smooth_tile(image, scale, a, b, block, half, smooth)
         low = lowest(smooth)
@@ -114,58 +113,7 @@ def search(
         if near:
             n_queue = _neighbours(near, a, b, rows, columns, number, queue, n_queue)
         done += 1
-    n = count[0] + count[1]
-    line, place = np.empty(n, np.int32), np.empty(n, np.int32)
-    prominence, above = np.empty(n, np.float32), np.empty(n, np.float32)
-    start = np.zeros(n // 4 + 1, np.int32)
-    n_chains, n_steep = 0, 0
-    for kind in range(2):
-        n_steep = n_chains
-        n_chains = link(
-            where[2 * kind : 2 * kind + 2], what[2 * kind : 2 * kind + 2], count[kind], w if kind else h, line, place,
-            prominence, above, start, n_chains
-        )  # fmt: skip
-    n = start[n_chains]
-    line, place, prominence, start = line[:n], place[:n], prominence[:n], start[: n_chains + 1]
-    steep = np.zeros(n_chains, np.bool_)
-    for k in range(n_steep):
-        steep[k] = True
-    factor = np.ones(n_chains, np.int32)
-    begin, end, chain = compete(line, place, prominence, start, steep, factor, taken, mark, finest)
-    plain = True
-    for p in range(len(begin)):
-        plain &= not too_wide(line, place, prominence, above, begin[p], end[p])
-    if plain:
-        for p in range(len(begin)):
-            cover(line, place, begin[p], end[p], steep[chain[p]], number, columns, h, w, light)
-        plain = not bright_beside(
-            image, scale, light, height, queue[:n_queue], number, columns, limits, block, half, smooth, peaks
-        )
-    clear = by_noise < floor or _strongest(prominence, begin, end) > _CLEAR * max(limits[0], limits[1])
-    return line, place, prominence, start, steep, factor, begin, end, chain, plain, clear
-
-
-@compiled
-@no_type_check
-def _strongest(prominence: np.ndarray, begin: np.ndarray, end: np.ndarray) -> float:
-    """Usual prominence of the part of a chain with the largest sum of it; 0 if there is none."""
-    most, usual = 0.0, 0.0
-    for p in range(len(begin)):
-        total = prominence[begin[p] : end[p]].sum()
-        if total > most:
-            most, usual = total, median(prominence[begin[p] : end[p]])
-    return usual
-
-
-@compiled
-@no_type_check
-def _larger(values: np.ndarray, columns: int) -> np.ndarray:
-    """The same values in a larger array."""
-    out = np.empty((values.shape[0], columns), values.dtype)
-    for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            out[i, j] = values[i, j]
-    return out
+    return n_queue, count[0], count[1], limits[0], limits[1], by_noise
 
 
 @compiled

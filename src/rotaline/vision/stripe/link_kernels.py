@@ -13,8 +13,10 @@ _GAPS = 3  # lines from one point to the next, at most; the place may differ by 
 @compiled
 @no_type_check
 def link(
-    where: np.ndarray,
-    what: np.ndarray,
+    line: np.ndarray,
+    place: np.ndarray,
+    prominence: np.ndarray,
+    above: np.ndarray,
     n: int,
     n_lines: int,
     out_line: np.ndarray,
@@ -26,25 +28,25 @@ def link(
 ) -> int:
     """Append the chains of n candidates: those on neighbouring lines are linked where each is the other's nearest.
 
-    ``where`` has their lines and places, ``what`` their prominence and their heights above what is dark around.
+    ``above`` is how high they are above what is dark around.
     Up to two lines may be missing between two linked candidates. ``start[k]`` is where chain k begins in what is appended to. Returns the
     number of chains.
     """
     first = np.zeros(n_lines + _GAPS + 2, np.int32)
     for k in range(n):
-        first[where[0, k] + 1] += 1
+        first[line[k] + 1] += 1
     for i in range(len(first) - 1):
         first[i + 1] += first[i]
     fill = first.copy()
     lines, places, order = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
     for k in range(n):
-        i, place = where[0, k], where[1, k]
+        i, own = line[k], place[k]
         at = fill[i]
         fill[i] += 1
-        while at > first[i] and places[at - 1] > place:
+        while at > first[i] and places[at - 1] > own:
             places[at], order[at] = places[at - 1], order[at - 1]
             at -= 1
-        lines[fill[i] - 1], places[at], order[at] = i, place, k
+        lines[fill[i] - 1], places[at], order[at] = i, own, k
     successor, linked = np.full(n, -1, np.int32), np.zeros(n, np.bool_)
     unlinked = np.arange(n)
     left = n
@@ -72,7 +74,7 @@ def link(
         m = k
         while m >= 0:
             out_line[to], out_place[to] = lines[m], places[m]
-            out_prominence[to], out_above[to] = what[0, order[m]], what[1, order[m]]
+            out_prominence[to], out_above[to] = prominence[order[m]], above[order[m]]
             to += 1
             m = successor[m]
         if to - begin < _SHORTEST:

@@ -168,9 +168,9 @@ def test_noise_alone_is_no_stripe(noise):
 def test_a_thin_stripe_in_the_dark_needs_no_smaller_size_and_a_wide_one_does():
     """What is fast stays fast."""
     for name in ("vertical", "horizontal", "between", "diagonal", "curved", "pieces", "bright and faint"):
-        assert find_module._search(camera(STRIPES[name]), 1.0, 6.0, 2.0, 1.0, False)[1], name
+        assert find_module._search(camera(STRIPES[name]), 1.0, 6.0, 2.0, 10.0, 1.0, False)[2], name
     for name in ("wide", "very wide", "faint and wide", "thin with a wide ghost"):
-        assert not find_module._search(camera(STRIPES[name]), 1.0, 6.0, 2.0, 1.0, False)[1], name
+        assert not find_module._search(camera(STRIPES[name]), 1.0, 6.0, 2.0, 10.0, 1.0, False)[2], name
 
 
 def test_chains_are_in_order_and_strongest_first():
