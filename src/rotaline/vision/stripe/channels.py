@@ -110,23 +110,49 @@ def _rows(image: Image) -> Shaped[np.ndarray, "h values"]:
     return view
 
 
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """The channels of a colour frame and of its background one after the other, to be read only; the same, where there is no background."""
+
+    image: Shaped[np.ndarray, "3 h w"]
+    background: Shaped[np.ndarray, "3 h w"]
+
+
 class _Space(threading.local):
-    """Work space of one thread, for images of one size: the image that is searched, and where the frame is white."""
+    """Work space of one thread, for images of one size: the image that is searched, where the frame is white, and its channels."""
 
     def __init__(self) -> None:
         self.values, self.white = np.zeros((0, 0), dtype=np.uint16), np.zeros((0, 0), dtype=np.uint8)
+        self.planes = np.zeros((2, 3, 0, 0), dtype=np.uint8)
 
     def fit(self, shape: tuple[int, ...]) -> tuple[UInt16[np.ndarray, "h w"], UInt8[np.ndarray, "h w"]]:
-        """Both, with any values."""
+        """The image and the white, with any values."""
         if self.values.shape != shape:
             self.values, self.white = np.empty(shape, dtype=np.uint16), np.empty(shape, dtype=np.uint8)
         return self.values, self.white
+
+    def split(self, image: Image, k: int) -> Shaped[np.ndarray, "3 h w"]:
+        """The channels of the image (k = 0) or of its background (k = 1)."""
+        shape = (2, 3, *image.shape[:2])
+        if self.planes.shape != shape or self.planes.dtype != image.dtype:
+            self.planes = np.empty(shape, dtype=image.dtype)
+        cv2.split(np.ascontiguousarray(image), list(self.planes[k]))
+        return self.planes[k]
 
 
 _space = _Space()
 
 
-def score_image(channels: Channels, name: str) -> UInt16[np.ndarray, "h w"]:
+def planes_of(channels: Channels) -> Planes:
+    """The channels of a colour frame, for :func:`score_image`.
+
+    The next call in the same thread overwrites them.
+    """
+    image = _space.split(channels.image, 0)
+    return Planes(image, image if channels.background is None else _space.split(channels.background, 1))
+
+
+def score_image(channels: Channels, planes: Planes, name: str) -> UInt16[np.ndarray, "h w"]:
     """The image in which a stripe of a colour is bright, or the ``grey`` one, of a colour frame; see
     :func:`rotaline.vision.stripe.signal.score_images`.
 
@@ -135,7 +161,11 @@ def score_image(channels: Channels, name: str) -> UInt16[np.ndarray, "h w"]:
     weights = np.full(3, 1.0 / 3.0) if name == "grey" else np.where(np.array(CHANNELS) == name, 1.0, -0.5)
     weights *= STEPS / channels.unit
     values, white = _space.fit(channels.image.shape[:2])
-    if score(*channels.rows(), channels.lines, weights, ZERO, WHITE * channels.top, values, white) and name != "grey":
+    n_white = score(
+        planes.image, planes.background, channels.background is not None, channels.lines, weights, ZERO,
+        WHITE * channels.top, values, white,
+    )  # fmt: skip
+    if n_white and name != "grey":
         _fill_core(values, white)
     return values
 

@@ -17,7 +17,15 @@ from jaxtyping import Bool, Float, Float32, Int32, UInt8, UInt16
 
 from rotaline.vision.images import Image
 from rotaline.vision.stripe.assemble_kernels import assemble
-from rotaline.vision.stripe.channels import STEPS, channels_of, measuring_channel, plane_of, score_image, steps_of
+from rotaline.vision.stripe.channels import (
+    STEPS,
+    channels_of,
+    measuring_channel,
+    plane_of,
+    planes_of,
+    score_image,
+    steps_of,
+)
 from rotaline.vision.stripe.explain_kernels import ridges_beside
 from rotaline.vision.stripe.find_kernels import CAREFUL, EVERYWHERE, QUICK, candidates
 from rotaline.vision.stripe.found import FoundStripe
@@ -79,29 +87,22 @@ class Chosen:
     length_px: float
 
 
-class _Space(threading.local):
-    """Work space of one thread, for images of one size: a map of marks and one of zeros, tiles, and candidates.
+class _Space:
+    """Work space for images of one size: a map of marks and one of zeros, tiles, and candidates.
 
     The map is marked with a new number each time, so that it need not be wiped.
     """
 
-    def __init__(self) -> None:
-        self.shape: tuple[int, ...] = (0, 0)
-        self.mark = 0
-        self.more_room(4096)
-
-    def fit(self, shape: tuple[int, ...]) -> None:
-        """Make everything that depends on the size of the image."""
-        if self.shape == shape:
-            return
+    def __init__(self, shape: tuple[int, int]) -> None:
         rows, columns = -(-shape[0] // TILE), -(-shape[1] // TILE)
-        self.shape, self.mark = shape, 0
+        self.mark = 0
         self.marks, self.zeros = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.float32)
         self.tiles = np.zeros((3, rows, columns), dtype=np.float32)
         self.order, self.light = (
             np.zeros((2, rows * columns), dtype=np.int32),
             np.zeros(rows * columns, dtype=np.uint64),
         )
+        self.more_room(4096)
 
     def more_room(self, n: int) -> None:
         """Make room for ``n`` candidates of each kind."""
@@ -116,7 +117,23 @@ class _Space(threading.local):
         return self.marks, self.mark, self.zeros
 
 
-_space = _Space()
+class _Spaces(threading.local):
+    """The work spaces of one thread: those of the sizes that were asked for last."""
+
+    def __init__(self) -> None:
+        self.by_shape: dict[tuple[int, int], _Space] = {}
+
+    def of(self, h: int, w: int) -> _Space:
+        """That of a size; a full image, its half and its quarter are kept at the same time."""
+        space = self.by_shape.get((h, w))
+        if space is None:
+            if len(self.by_shape) >= _LEVELS:
+                del self.by_shape[next(iter(self.by_shape))]
+            space = self.by_shape[h, w] = _Space((h, w))
+        return space
+
+
+_spaces = _Spaces()
 
 
 def find(image: Image, background: Image | None, options: StripeOptions) -> tuple[FoundStripe, Plane]:
@@ -144,12 +161,16 @@ def find(image: Image, background: Image | None, options: StripeOptions) -> tupl
             values, options.threshold, options.min_contrast * STEPS, options.min_length_px, 0.0
         ).stripe, plane
     best: Chosen | None = None
-    clear = False
+    clear, planes = False, planes_of(channels)
     for name in score_names(options.laser_colour):
         if name == "grey" and clear and background is None:
             continue  # see signal.find_stripe
         chosen = find_chains(
-            score_image(channels, name), options.threshold, options.min_contrast * STEPS, options.min_length_px, 0.0
+            score_image(channels, planes, name),
+            options.threshold,
+            options.min_contrast * STEPS,
+            options.min_length_px,
+            0.0,
         )
         if best is None or chosen.strength > best.strength:
             best = chosen
@@ -194,8 +215,7 @@ def _search(
     h, w = image.shape
     if min(h, w) < _LEAST_SEARCHED:
         image, (h, w) = np.zeros((_LEAST_SEARCHED, _LEAST_SEARCHED), dtype=np.uint8), (_LEAST_SEARCHED,) * 2
-    values, space = _readable(image), _space
-    space.fit((h, w))
+    values, space = _readable(image), _spaces.of(h, w)
     for effort in (EVERYWHERE,) if everywhere else (QUICK, CAREFUL):
         n_tiles = -1
         while n_tiles < 0:
@@ -247,6 +267,5 @@ def _with_smaller_sizes(
     lengths = np.concatenate([np.diff(one.start) for one in sizes])
     start = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
     factor = np.concatenate(factors)
-    _space.fit(shape)
-    parts = compete(line, place, prominence, start, steep, factor, *_space.unmarked())
+    parts = compete(line, place, prominence, start, steep, factor, *_spaces.of(*shape).unmarked())
     return Chains(line, place, prominence, start, steep, factor, *parts)

@@ -28,7 +28,7 @@ def score(
 
     Parameters
     ----------
-    image, background : (h, 3 w)   red, green, blue of each pixel; the background is read where it is to be ``subtracted``
+    image, background : (3, h, w)   red, green, blue; the background is read where it is to be ``subtracted``
     lines : (3, 2)   gain and offset of the background for each channel
     weights : (3,)
     zero : float   the number for a sum of 0; numbers end at 0 and 65535
@@ -42,27 +42,27 @@ def score(
     """
     h, w = out.shape
     w0, w1, w2 = np.float32(weights[0]), np.float32(weights[1]), np.float32(weights[2])
-    g0, g1, g2 = np.float32(lines[0, 0]), np.float32(lines[1, 0]), np.float32(lines[2, 0])
-    o0, o1, o2 = np.float32(lines[0, 1]), np.float32(lines[1, 1]), np.float32(lines[2, 1])
-    half, most, bright = np.float32(zero + 0.5), np.float32(65535.0), np.float32(white_limit)
+    v0, v1, v2 = np.float32(w0 * lines[0, 0]), np.float32(w1 * lines[1, 0]), np.float32(w2 * lines[2, 0])
+    level = w0 * lines[0, 1] + w1 * lines[1, 1] + w2 * lines[2, 1] if subtracted else 0.0
+    half, most = np.float32(zero + 0.5 - level), np.float32(65535.0)
+    bright = image.dtype.type(np.ceil(white_limit))
     sums = np.empty(w, np.float32)
     n_white = 0
     for i in range(h):
-        row, to, lost = image[i], out[i], white[i]
+        r0, r1, r2, to, lost = image[0, i], image[1, i], image[2, i], out[i], white[i]
+        n = np.int32(0)
         for j in range(w):
-            a, b, c = row[3 * j], row[3 * j + 1], row[3 * j + 2]
-            lost[j] = np.float32(min(a, min(b, c))) >= bright
-            n_white += lost[j]
-            sums[j] = w0 * np.float32(a) + w1 * np.float32(b) + w2 * np.float32(c)
+            a, b, c = r0[j], r1[j], r2[j]
+            lost[j] = np.uint8(min(a, min(b, c)) >= bright)
+            n += np.int32(lost[j])
+            sums[j] = w0 * np.float32(a) + w1 * np.float32(b) + w2 * np.float32(c) + half
+        n_white += n
         if subtracted:
-            under = background[i]
+            u0, u1, u2 = background[0, i], background[1, i], background[2, i]
             for j in range(w):
-                a = g0 * np.float32(under[3 * j]) + o0
-                b = g1 * np.float32(under[3 * j + 1]) + o1
-                c = g2 * np.float32(under[3 * j + 2]) + o2
-                sums[j] -= w0 * a + w1 * b + w2 * c
+                sums[j] -= v0 * np.float32(u0[j]) + v1 * np.float32(u1[j]) + v2 * np.float32(u2[j])
         for j in range(w):
-            to[j] = np.uint16(np.int32(min(max(sums[j] + half, np.float32(0.0)), most)))
+            to[j] = np.uint16(np.int32(min(max(sums[j], np.float32(0.0)), most)))
     return n_white
 
 

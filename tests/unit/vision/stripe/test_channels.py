@@ -12,6 +12,7 @@ from rotaline.vision.stripe.channels import (
     channels_of,
     measuring_channel,
     plane_of,
+    planes_of,
     score_image,
 )
 from rotaline.vision.stripe.find import find_chains
@@ -89,7 +90,7 @@ SCENES = {
 
 
 def grey_values(channels: Channels, name):
-    return (score_image(channels, name).astype(float) - ZERO) / STEPS
+    return (score_image(channels, planes_of(channels), name).astype(float) - ZERO) / STEPS
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -151,7 +152,7 @@ def test_heights_are_those_of_sampled_profiles(steep, subtracted, dtype):
 def test_the_channel_is_the_one_of_the_plain_way(light, expected, dtype):
     image = camera(light, 1, dtype)
     channels = channels_of(image, None)
-    found = find_chains(score_image(channels, "red"), 6.0, 2.0 * STEPS, 10.0, 0.0)
+    found = find_chains(score_image(channels, planes_of(channels), "red"), 6.0, 2.0 * STEPS, 10.0, 0.0)
     s = found.stripe
     ridges = [
         Ridge(s.uv[s.chain == k], found.prominence[s.chain == k], bool(found.steep[k]), float(s.scale_px[k]))
@@ -166,8 +167,13 @@ def test_the_channel_is_the_one_of_the_plain_way(light, expected, dtype):
 
 def test_each_thread_has_its_own_work_space():
     images = [camera(light, seed) for seed, light in enumerate(SCENES.values())]
-    alone = [score_image(channels_of(image, None), "red").copy() for image in images]
+
+    def red(image):
+        channels = channels_of(image, None)
+        return score_image(channels, planes_of(channels), "red").copy()
+
+    alone = [red(image) for image in images]
     with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda k: score_image(channels_of(images[k % 4], None), "red").copy(), range(80)))
+        together = list(pool.map(lambda k: red(images[k % 4]), range(80)))
     for k, score in enumerate(together):
         assert np.array_equal(score, alone[k % 4])
