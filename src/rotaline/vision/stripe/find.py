@@ -1,11 +1,12 @@
 """Where the stripe is, at the speed of the memory: what :mod:`rotaline.vision.stripe.ridges` finds, without working on every pixel.
 
-One sweep over the image takes the highest mean of 2 x 2 pixels of each tile of 16 x 16. Only tiles that stand out from the darkest columns
-around by what the faintest ridge would are searched, and those next to them that a chain runs into. The noise, where it sets that limit, is
-measured in some tiles only, and in more of them where no chain is clear; tiles that are let in by chance cost time and change nothing.
+One sweep over the image takes the highest value of each column in tiles of 16 x 16 pixels. Only tiles in which two neighbouring columns stand out
+from the darkest ones around by what the faintest ridge would are searched, and those next to them that a chain runs into. The noise, where it sets
+that limit, is measured in some tiles only, and in more of them where no chain is clear; tiles that are let in by chance cost time and change
+nothing.
 
 The half and the quarter size of the image are looked at where the full size leaves something unexplained: a chain that is wide, or something
-bright beside the chains. In a frame with a thin stripe in the dark that never happens.
+bright beside the chains that is a ridge in the half or quarter size of its tile. In a frame with a thin stripe in the dark that never happens.
 """
 
 import threading
@@ -195,9 +196,9 @@ def find_chains(
     rounding : float   step of the grey values; 0 where they are not rounded
     everywhere : bool   search every tile in all three sizes, and not only those where something may be
     """
-    chains, chosen, explained = _search(image, 1.0, threshold, floor, min_length_px, rounding, everywhere)
+    found, chosen, explained = _search(image, 1.0, threshold, floor, min_length_px, rounding, everywhere)
     if everywhere or not explained:
-        chains = _with_smaller_sizes(chains, image, threshold, floor, min_length_px, everywhere)
+        chains = _with_smaller_sizes(Chains(*found), image, threshold, floor, min_length_px, everywhere)
         chosen = choose(
             chains.line, chains.place, chains.prominence, chains.steep, chains.factor, chains.begin, chains.end,
             chains.chain, min_length_px,
@@ -208,9 +209,14 @@ def find_chains(
 
 def _search(
     image: Values, scale: float, threshold: float, floor: float, min_length_px: float, rounding: float, everywhere: bool
-) -> tuple[Chains, tuple[Any, ...], bool]:
-    """Chains of one size of an image, of which a step stands for ``scale`` grey values; the stripe by these alone; and whether no smaller size is
-    needed.
+) -> tuple[list[Any], tuple[Any, ...], bool]:
+    """Find the chains of one size of an image, of which a step stands for ``scale`` grey values.
+
+    Returns
+    -------
+    found : list   what :class:`Chains` holds
+    chosen : tuple   the stripe by these alone, see :func:`rotaline.vision.stripe.settle_kernels.choose`
+    explained : bool   no smaller size needs to be looked at
     """
     h, w = image.shape
     if min(h, w) < _LEAST_SEARCHED:
@@ -235,7 +241,7 @@ def _search(
     if 0 < left <= _FEW_LEFT:
         tiles, light = space.order[0, :left], space.light[:left]
         explained = not ridges_beside(values, scale, tiles, light, space.tiles.shape[2], min(least, least_flat))
-    return Chains(*found), chosen, explained
+    return found, chosen, explained
 
 
 def _readable(image: Values) -> Values:
@@ -250,16 +256,15 @@ def _with_smaller_sizes(
 ) -> Chains:
     """The chains of the full size with those of the half and the quarter size, after all of them have competed."""
     sizes, factors, shape, scale = [full], [full.factor], image.shape, 1.0
-    divided_by, step = (
-        (1, 0.25) if image.dtype == np.uint8 else (4, 1.0)
-    )  # sums of 16 of the former still fit into 16 bits
+    # sums of 16 values of 8 bit fit into 16 bit
+    divided_by, step = (1, 0.25) if image.dtype == np.uint8 else (4, 1.0)
     for level in range(1, _LEVELS):
         if min(image.shape) < _LEAST_SIZE:
             break
         smaller = np.empty((image.shape[0] // 2, image.shape[1] // 2), dtype=np.uint16)
         half_size(_readable(image), divided_by, smaller)
         image, scale = smaller, scale * step
-        sizes.append(_search(image, scale, threshold, floor, min_length_px, 0.0, everywhere)[0])
+        sizes.append(Chains(*_search(image, scale, threshold, floor, min_length_px, 0.0, everywhere)[0]))
         factors.append(sizes[-1].factor * np.int32(2**level))
     line, place, prominence, steep = (
         np.concatenate([getattr(one, name) for one in sizes]) for name in ("line", "place", "prominence", "steep")

@@ -173,6 +173,26 @@ def test_a_thin_stripe_in_the_dark_needs_no_smaller_size_and_a_wide_one_does():
         assert not find_module._search(camera(STRIPES[name]), 1.0, 6.0, 2.0, 10.0, 1.0, False)[2], name
 
 
+def test_light_that_is_no_ridge_needs_no_smaller_size():
+    """A part that is lit a little, with an edge brighter than the rest, in noise; the stripe ends at two borders."""
+    lit = 1.0 * (V > 90) + 1.5 * np.exp(-0.5 * ((V - 90.0) / 1.5) ** 2)
+    for seed in range(3):
+        image = camera(line(TILTED, 1.3, 60.0) + lit, 0.67, seed)
+        assert find_module._search(image, 1.0, 6.0, 2.0, 10.0, 1.0, False)[2]
+    faint_but_wide = camera(line(TILTED, 1.3, 60.0) + line(V - 90.0, 4.5, 6.0), 0.67)
+    assert not find_module._search(faint_but_wide, 1.0, 6.0, 2.0, 10.0, 1.0, False)[2]
+
+
+def test_room_for_candidates_grows():
+    image = camera(STRIPES["dots"])
+    before, _ = find(image, None, OPTIONS)
+    space = find_module._spaces.of(*SHAPE)
+    space.more_room(70)
+    after, _ = find(image, None, OPTIONS)
+    assert space.where.shape[1] > 70
+    assert np.array_equal(before.uv, after.uv)
+
+
 def test_chains_are_in_order_and_strongest_first():
     stripe, _ = find(camera(STRIPES["bright and faint"]), None, OPTIONS)
     first, second = (stripe.uv[stripe.chain == k] for k in (0, 1))
