@@ -206,10 +206,9 @@ def ridges_beside(
         for factor in (2, 4):
             _smaller_block(image, scale, a // factor, b // factor, factor, block)
             smooth_block(block, half, smooth)
-            for step in (1, BLOCK_COLUMNS):
-                found = tile_peaks(smooth, step, least, peaks)
-                if found and _in_light(peaks, light[k], factor, a % factor, b % factor):
-                    return True
+            found = tile_peaks(smooth, least, least, peaks)
+            if found and _in_light(peaks, light[k], factor, a % factor, b % factor):
+                return True
     return False
 
 

@@ -105,10 +105,10 @@ def candidates(
         low = lowest(smooth)
         light[done], height[done] = bright_pixels(smooth, low, dim, a * TILE, b * TILE, h, w, half, peaks, words)
         near = 0
-        # the step as a number, not a variable: known beforehand, it makes faster loops
-        if tile_peaks(smooth, 1, limits[0], peaks):
+        kinds = tile_peaks(smooth, limits[0], limits[1], peaks)
+        if kinds & 1:
             near |= _collect(words, smooth, low, 0, a, b, h, w, where, what, count)
-        if tile_peaks(smooth, BLOCK_COLUMNS, limits[1], peaks):
+        if kinds & 2:
             near |= _collect(words, smooth, low, 1, a, b, h, w, where, what, count)
         if near:
             n_queue = _neighbours(near, a, b, rows, columns, number, queue, n_queue)
@@ -141,7 +141,7 @@ def _collect(
     edge_rows, edge_columns = (0, 3) if kind == 0 else (3, 0)
     for i in range(TILE):
         for part in range(TILE // 8):
-            rest = np.int64(words[4 * i + part])
+            rest = np.int64(words[4 * i + part]) >> kind & 0x0101010101010101
             j = 8 * part - 1
             while rest:
                 j += 1

@@ -167,25 +167,30 @@ def smooth_block(block: np.ndarray, half: np.ndarray, smooth: np.ndarray) -> Non
 
 @compiled
 @no_type_check
-def tile_peaks(smooth: np.ndarray, step: int, limit: float, peaks: np.ndarray) -> bool:
-    """Pixels that are the highest within three pixels, and more than the limit higher than both of those three away.
+def tile_peaks(smooth: np.ndarray, steep: float, flat: float, peaks: np.ndarray) -> int:
+    """Pixels that are the highest within three pixels of their row, and by more than ``steep`` higher than both of those three away; or the same
+    in their column and by more than ``flat``.
 
-    ``step`` is from one pixel to the next across the ridge: 1 for steep ones, the length of a row for flat ones. ``peaks[32 i + j]`` tells it of
-    pixel (i, j) of the tile. Returns whether there is one.
+    ``peaks[32 i + j]`` is 1 where pixel (i, j) of the tile is of the first kind, 2 where it is of the second, 3 where it is both. Returns what there
+    is of all of them together.
     """
     n = TILE * BLOCK_COLUMNS - 16
     middle, out = smooth[FIRST:], peaks[:n]
-    before, after = smooth[FIRST - step :], smooth[FIRST + step :]
-    before2, after2 = smooth[FIRST - 2 * step :], smooth[FIRST + 2 * step :]
-    before3, after3 = smooth[FIRST - 3 * step :], smooth[FIRST + 3 * step :]
-    least = np.float32(limit)
+    left, left2, left3 = smooth[FIRST - 1 :], smooth[FIRST - 2 :], smooth[FIRST - 3 :]
+    right, right2, right3 = smooth[FIRST + 1 :], smooth[FIRST + 2 :], smooth[FIRST + 3 :]
+    up, up2, up3 = smooth[FIRST - 32 :], smooth[FIRST - 64 :], smooth[FIRST - 96 :]
+    down, down2, down3 = smooth[FIRST + 32 :], smooth[FIRST + 64 :], smooth[FIRST + 96 :]
+    least_steep, least_flat = np.float32(steep), np.float32(flat)
     some = np.uint8(0)
     for k in range(np.uint64(n)):
         value = middle[k]
-        highest = (value > max(before[k], before2[k])) & (value >= max(after[k], after2[k]))
-        out[k] = np.uint8(highest & (value - max(before3[k], after3[k]) > least))
+        one = (value > max(left[k], left2[k])) & (value >= max(right[k], right2[k]))
+        one &= value - max(left3[k], right3[k]) > least_steep
+        two = (value > max(up[k], up2[k])) & (value >= max(down[k], down2[k]))
+        two &= value - max(up3[k], down3[k]) > least_flat
+        out[k] = np.uint8(one) | np.uint8(two) << np.uint8(1)
         some |= out[k]
-    return some != 0
+    return some
 
 
 @compiled
