@@ -276,7 +276,7 @@ def _replaced(
 
 def _steger(trace: Trace, plane: Plane, rough: Centres, middle: Float[np.ndarray, " n"]) -> Centres:
     """Ridge points of the image, smoothed as wide as the stripe is, at the pixels that the curve passes; height from the centroids."""
-    sigma = float(np.clip(np.median(trace.width_px), 0.8, 10.0))
+    sigma = float(np.clip(np.nanmedian(rough.width_px), 0.8, 10.0))
     half = int(np.ceil(4 * sigma))
     x = np.arange(-half, half + 1)
     g = np.exp(-0.5 * (x / sigma) ** 2)

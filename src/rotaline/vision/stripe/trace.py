@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from rotaline.vision.stripe.found import FoundStripe
 from rotaline.vision.stripe.plane import Plane
 from rotaline.vision.stripe.strips import strips_of
-from rotaline.vision.stripe.trace_kernels import begin, follow, half_maximum, long_chains
+from rotaline.vision.stripe.trace_kernels import begin, follow, half_maximum, lines_across, long_chains
 
 SHORTEST = 4  # points of a piece
 _WIDER = 1.5
@@ -39,28 +39,33 @@ class Trace:
 def trace_stripe(found: FoundStripe, plane: Plane, least: int) -> Trace | None:
     """Follow the chains at full resolution; None where no piece of ``least`` points is left.
 
-    The pixels along the normals are taken, one a line of the image, the points moved to the centroids, the chains broken where the
-    centres jump and joined across gaps, and the points spaced equally again. Where there is more than one chain then, or the stripe is wider than
-    it was thought to be, all this is done once more.
+    The pixels across the chains are taken, one a line of the image: along the rows or columns in which the points were found, or, of
+    chains found in a smaller image, along the normals. The points move to the centroids, the chains are broken where the centres jump and joined
+    across gaps, and the points spaced equally. Where the stripe is wider than it was thought to be, this is done once more, along the normals.
     """
     if len(found.uv) == 0:
         return None
-    uv, starts, width, normal = begin(found.uv, found.chain, found.scale_px)
+    uv = found.uv
     if (found.scale_px > 1.0).any():
+        uv, starts, width, normal = begin(uv, found.chain, found.scale_px)
         p = strips_of(plane, uv, normal, 3.0 * width, 1)
         uv, starts, width, normal = half_maximum(
             uv, starts, width, normal, p.first, p.count, p.distance, p.level, p.share
         )
+        along = normal
+    else:
+        starts, width, normal, along = lines_across(uv, found.chain)
     for last in (False, True):
         if len(uv) == 0:
             return None
-        p = strips_of(plane, uv, normal, 3.5 * width + 3.0, 1)
+        p = strips_of(plane, uv, along, 3.5 * width + 3.0, 1)
         widest = width.max()
         uv, starts, width, normal = follow(
-            uv, starts, width, normal, p.first, p.count, p.distance, p.level, p.share, p.clipped, p.hits,
+            uv, starts, width, normal, along, p.first, p.count, p.distance, p.level, p.share, p.clipped, p.hits,
             least if last else max(SHORTEST, least // 2), not last,
         )  # fmt: skip
-        if width.max() <= _WIDER * widest and len(starts) == 2:
+        along = normal
+        if width.max() <= _WIDER * widest:
             break
     uv, starts, width, normal = long_chains(uv, starts, width, normal, least)
     return Trace(uv, starts, width, normal) if len(uv) else None

@@ -16,13 +16,15 @@ from rotaline.vision.stripe.chain_kernels import (
     window_mean,
     window_median,
 )
+from rotaline.vision.stripe.judge_kernels import sound_ends
 from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _WINDOW = 6  # points on either side that settle the direction
 _ROUGH_PX, _FINE_PX = 0.3, 0.05  # misfit of a line that is not worth a one-sided window
-_SHORT_PX = 0.02  # a step is the last when it is shorter
+_SHORT_PX = 0.05  # a step is the last when it is shorter
 _JOIN_PX = 9.0
 _BOTH_SIDES = 0.2  # least fall to the higher side, part of the fall to the lower side
+_STRAIGHT = 4  # points whose mean tells where an end goes on, and as many before them whereto
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.4, 20.0
 
 
@@ -56,6 +58,29 @@ def begin(uv: np.ndarray, chain: np.ndarray, scale_px: np.ndarray) -> tuple:
         uv = smooth
     dense, edges, wide_px = resample(uv, starts, width)
     return dense, edges, wide_px, normals(dense, edges, _ROUGH_PX)
+
+
+@compiled
+@no_type_check
+def lines_across(uv: np.ndarray, chain: np.ndarray) -> tuple:
+    """The found chains as they are, to be looked at along the rows or columns in which their points were found.
+
+    Returns
+    -------
+    starts, widths to begin with, normals; along : (n, 2)   direction of the row or column
+    """
+    starts = starts_of(chain)
+    normal = normals(uv, starts, _ROUGH_PX)
+    along, width = np.empty_like(normal), np.empty(len(uv))
+    for c in range(len(starts) - 1):
+        steep = True
+        for i in range(starts[c] + 1, starts[c + 1]):
+            steep &= abs(uv[i, 1] - uv[i - 1, 1]) >= 1.0
+        for i in range(starts[c], starts[c + 1]):
+            along[i, 0], along[i, 1] = (1.0, 0.0) if steep else (0.0, 1.0)
+            cosine = abs(normal[i, 0]) if steep else abs(normal[i, 1])
+            width[i] = 1.5 / max(cosine, 0.6)
+    return starts, width, normal, along
 
 
 @compiled
@@ -139,11 +164,37 @@ def half_maximum(
 
 @compiled
 @no_type_check
+def _straighten(uv: np.ndarray, index: np.ndarray, edges: np.ndarray, width_px: np.ndarray) -> None:
+    """Let ends that do not continue their chain go straight on: beside a jump a centroid is drawn to the other side."""
+    keep = sound_ends(uv[index], edges, width_px[index])
+    for c in range(len(edges) - 1):
+        for end in range(2):
+            sign = 1 if end else -1
+            at = edges[c + 1] - 1 if end else edges[c]
+            taken = 0
+            while taken < edges[c + 1] - edges[c] and not keep[at - sign * taken]:
+                taken += 1
+            if taken == 0:
+                continue
+            last = at - sign * taken
+            for k in range(2):
+                near, far = 0.0, 0.0
+                for j in range(_STRAIGHT):
+                    near += uv[index[last - sign * j], k] / _STRAIGHT
+                    far += uv[index[last - sign * (j + _STRAIGHT)], k] / _STRAIGHT
+                step = (near - far) / _STRAIGHT
+                for j in range(1, taken + 1):
+                    uv[index[last + sign * j], k] = near + step * (min(j, taken - 1.0) + 0.5 * (_STRAIGHT - 1))
+
+
+@compiled
+@no_type_check
 def follow(
     uv: np.ndarray,
     starts: np.ndarray,
     width_px: np.ndarray,
     normal: np.ndarray,
+    along: np.ndarray,
     first: np.ndarray,
     count: np.ndarray,
     distance: np.ndarray,
@@ -155,6 +206,11 @@ def follow(
     join: bool,
 ) -> tuple:
     """Move the points to the centroids, break the chains where these jump, join what goes on, and space the points equally again.
+
+    Parameters
+    ----------
+    along : (n, 2)   direction of the strips, in which the points move
+    width_px : (n,)   as seen in that direction
 
     Returns
     -------
@@ -171,14 +227,17 @@ def follow(
     )  # fmt: skip
     for i in range(n):
         good[i] = abs(shift[i]) <= 1.5 * width_px[i] + 1.0
-        measured[i] = min(max(measured[i], _LEAST_WIDTH_PX), _MOST_WIDTH_PX) if good[i] else width_px[i]
+        wide = measured[i] if good[i] else width_px[i]
+        wide *= abs(along[i, 0] * normal[i, 0] + along[i, 1] * normal[i, 1])
+        measured[i] = min(max(wide, _LEAST_WIDTH_PX), _MOST_WIDTH_PX)
     alike(measured, starts, 0.25, good)
     moved, tangent = np.empty((n, 2)), np.empty((n, 2))
     for i in range(n):
         s = shift[i] if good[i] else 0.0
-        moved[i, 0], moved[i, 1] = uv[i, 0] + s * normal[i, 0], uv[i, 1] + s * normal[i, 1]
+        moved[i, 0], moved[i, 1] = uv[i, 0] + s * along[i, 0], uv[i, 1] + s * along[i, 1]
         tangent[i, 0], tangent[i, 1] = normal[i, 1], -normal[i, 0]
     index, edges = break_chains(moved, tangent, good, starts, least)
+    _straighten(moved, index, edges, measured)
     moved, kept = moved[index], measured[index]
     width, smooth, ahead = np.empty(len(kept)), np.empty_like(moved), np.empty_like(moved)
     window_mean(kept, edges, 10, width)
