@@ -11,7 +11,8 @@ from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _F = np.float32
-_ZERO, _UNIT, _FLAT, _PART = _F(0.0), _F(1.0), _F(16.0), _F(1.0 / 16.0)
+_ZERO, _UNIT, _TWO, _FLAT, _PART = _F(0.0), _F(1.0), _F(2.0), _F(16.0), _F(1.0 / 16.0)
+_HUGE, _THIN, _NARROW, _NONE = _F(1e30), _F(1e-3), _F(0.1), _F(np.nan)
 _SIDE = 3.0  # the sides begin so many widths from the centre
 _LEAST_SIDE = 2  # pixels
 _MOST_STEPS = 8
@@ -20,6 +21,7 @@ _REACH = 5.0  # widths of the window
 _SHIFT, _BY_SHAPE, _BY_WINDOW = 0, BLOCK, 2 * BLOCK
 _G0, _G1, _G2, _P0, _P1, _P2 = 3 * BLOCK, 4 * BLOCK, 5 * BLOCK, 6 * BLOCK, 7 * BLOCK, 8 * BLOCK
 _K0, _K1, _K2, _W1, _W2 = 9 * BLOCK, 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK
+_STEP, _VARIANCE, _WINDOW, _MOST, _SLOPE_VARIANCE = 14 * BLOCK, 15 * BLOCK, 16 * BLOCK, 17 * BLOCK, 18 * BLOCK
 # exp(-t), 0 <= t <= 1, to 1e-6
 _C0, _C1, _C2 = _F(0.9999995544211945), _F(-0.9999678512243936), _F(0.4996208737479462)
 _C3, _C4, _C5 = _F(-0.16501271678028187), _F(0.03833892232810025), _F(-0.0050997276264818465)
@@ -77,6 +79,46 @@ def _add_noise(s: np.ndarray, d: np.ndarray, w: np.ndarray) -> None:
 
 @compiled
 @no_type_check
+def _step(s: np.ndarray, short: float) -> int:
+    """The next step of each point of a block; how many are longer than ``short``."""
+    far = 0
+    for k in range(BLOCK):
+        g0, g1, p0, p1 = s[_G0 + k], s[_G1 + k], s[_P0 + k], s[_P1 + k]
+        step = s[_VARIANCE + k] * (g0 * p1 - g1 * p0) / (s[_G2 + k] * p0 - g1 * p1)
+        step = min(max(step, -s[_MOST + k]), s[_MOST + k]) if abs(step) < _HUGE else _ZERO
+        s[_STEP + k] = step
+        far += abs(step) > short
+    return far
+
+
+@compiled
+@no_type_check
+def _finish(s: np.ndarray, noise: bool) -> None:
+    """Centres, uncertainties, widths and heights of a block from its sums; they take the place of the first of these."""
+    for k in range(BLOCK):
+        g0, g1, g2 = s[_G0 + k], s[_G1 + k], s[_G2 + k]
+        p0, p1, p2 = s[_P0 + k], s[_P1 + k], s[_P2 + k]
+        variance, window_variance = s[_VARIANCE + k], s[_WINDOW + k]
+        peak = g2 * p0 - g1 * p1
+        high = peak / (g0 * g2 - g1 * g1)
+        u = _UNIT
+        if noise:
+            from_slope = g0 * s[_W2 + k] - g1 * s[_W1 + k]
+            total = g0 * g0 * s[_K2 + k] - _TWO * g0 * g1 * s[_K1 + k] + g1 * g1 * s[_K0 + k]
+            u = variance / peak * np.sqrt(total + s[_SLOPE_VARIANCE + k] * from_slope * from_slope)
+        product = variance * window_variance / (variance + window_variance)
+        off, own = p1 / p0, g1 / g0  # the same but for the last step
+        moment = p2 / p0 - off * off - g2 / g0 + own * own + product
+        wide = moment * window_variance / max(window_variance - moment, _THIN * window_variance)
+        found = (p0 > _ZERO) & (high > _ZERO) & (u > _ZERO) & (u < _HUGE)
+        s[_G0 + k] = s[_SHIFT + k] + s[_STEP + k] if found else _NONE
+        s[_G1 + k] = u
+        s[_G2 + k] = min(np.sqrt(max(wide, _NARROW)), _TWO * s[_MOST + k])
+        s[_P0 + k] = high
+
+
+@compiled
+@no_type_check
 def weighted_centroids(
     first: np.ndarray,
     count: np.ndarray,
@@ -99,7 +141,9 @@ def weighted_centroids(
     Results stand in the last four arrays. The uncertainties are left out where ``u_px`` is empty.
     """
     n = len(start_px)
-    s = np.zeros(14 * BLOCK, _F)
+    s = np.zeros(19 * BLOCK, _F)
+    s[_BY_SHAPE:_G0], s[_VARIANCE:] = _UNIT, _UNIT
+    short, noise = _F(short_px), len(u_px) > 0
     for begin in range(0, n, BLOCK):
         m = min(BLOCK, n - begin)
         same, reach = True, 0.0
@@ -108,9 +152,10 @@ def weighted_centroids(
             window_px = max(window * width, _LEAST_WINDOW_PX)
             same &= window_px == width
             reach = max(reach, _REACH * window_px + abs(start_px[begin + k]))
-            s[_SHIFT + k], s[_BY_SHAPE + k], s[_BY_WINDOW + k] = (
-                start_px[begin + k], 0.5 / (width * width), 0.5 / (window_px * window_px),
-            )  # fmt: skip
+            variance, window_variance = width * width, window_px * window_px
+            s[_SHIFT + k], s[_BY_SHAPE + k], s[_BY_WINDOW + k] = start_px[begin + k], 0.5 / variance, 0.5 / window_variance
+            s[_VARIANCE + k], s[_WINDOW + k], s[_MOST + k] = variance, window_variance, 1.5 * width
+            s[_SLOPE_VARIANCE + k] = slope_variance[begin + k]
         lines = count[begin] // lanes
         inner = min(int(reach + 1.0), lines // 2)
         low = first[begin] + BLOCK * lanes * (lines // 2 - inner)
@@ -119,47 +164,20 @@ def weighted_centroids(
             s[_G0:_K0] = _ZERO
             for a in range(low, high, BLOCK):
                 _add(s, distance[a : a + BLOCK], above[a : a + BLOCK], share[a : a + BLOCK], same)
-            longest = 0.0
-            for k in range(m):
-                width = width_px[begin + k]
-                g0, g1, g2 = float(s[_G0 + k]), float(s[_G1 + k]), float(s[_G2 + k])
-                p0, p1 = float(s[_P0 + k]), float(s[_P1 + k])
-                step = width * width * (g0 * p1 - g1 * p0) / (g2 * p0 - g1 * p1)
-                step = min(max(step, -1.5 * width), 1.5 * width) if np.isfinite(step) else 0.0
-                measured_px[begin + k] = step
-                longest = max(longest, abs(step))
-            if longest <= short_px or turn == _MOST_STEPS - 1:
+            if _step(s, short) == 0 or turn == _MOST_STEPS - 1:
                 break
-            for k in range(m):
-                s[_SHIFT + k] += measured_px[begin + k]
-        if len(u_px) > 0:
-            s[_K0:] = _ZERO
+            for k in range(BLOCK):
+                s[_SHIFT + k] += s[_STEP + k]
+        if noise:
+            s[_K0:_STEP] = _ZERO
             for a in range(low, high, BLOCK):
                 _add_noise(s, distance[a : a + BLOCK], share[a : a + BLOCK])
+        _finish(s, noise)
         for k in range(m):
             i = begin + k
-            width = width_px[i]
-            variance = width * width
-            window_variance = max(window * width, _LEAST_WINDOW_PX) ** 2
-            g0, g1, g2 = float(s[_G0 + k]), float(s[_G1 + k]), float(s[_G2 + k])
-            p0, p1, p2 = float(s[_P0 + k]), float(s[_P1 + k]), float(s[_P2 + k])
-            peak = g2 * p0 - g1 * p1
-            high_i = peak / (g0 * g2 - g1 * g1)
-            u = 1.0
-            if len(u_px) > 0:
-                k0, k1, k2 = float(s[_K0 + k]), float(s[_K1 + k]), float(s[_K2 + k])
-                from_slope = g0 * float(s[_W2 + k]) - g1 * float(s[_W1 + k])
-                total = g0 * g0 * k2 - 2.0 * g0 * g1 * k1 + g1 * g1 * k0 + slope_variance[i] * from_slope * from_slope
-                u = variance / peak * np.sqrt(total)
-                u_px[i] = u
-            product = variance * window_variance / (variance + window_variance)
-            off, own = p1 / p0, g1 / g0  # the same but for the last step
-            moment = p2 / p0 - off * off - g2 / g0 + own * own + product
-            wide = moment * window_variance / max(window_variance - moment, 1e-3 * window_variance)
-            found = p0 > 0 and high_i > 0 and np.isfinite(u) and u > 0
-            shift_px[i] = s[_SHIFT + k] + measured_px[i] if found else np.nan
-            measured_px[i] = min(np.sqrt(max(wide, 0.1)), 3.0 * width)
-            height[i] = high_i
+            shift_px[i], measured_px[i], height[i] = s[_G0 + k], s[_G2 + k], s[_P0 + k]
+            if noise:
+                u_px[i] = s[_G1 + k]
 
 
 @compiled
@@ -222,10 +240,7 @@ def subtract_sides(
                 for a in range(low + k, high, BLOCK):
                     if clipped[a]:
                         share[a] = -share[a]
-            for a in range(low + k, high, BLOCK):
-                if share[a] > _ZERO:
-                    s[k] = above[a]
-                    break
+            s[k] = above[low + k + BLOCK * (count[i] // 2)]  # sums of small numbers are more exact
             s[BLOCK + k] = _SIDE * width_px[i]
         for a in range(low, high, BLOCK):
             _add_sides(s, distance[a : a + BLOCK], above[a : a + BLOCK], share[a : a + BLOCK])

@@ -13,6 +13,7 @@ from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_
 _DIFFER = 4.0  # noises
 _LANES = 3
 _WIDTH_TOLERANCE = 0.08  # a window may be off by this part
+_ROUGH_PX = 0.3  # to know the width, a step that is shorter is good enough
 _SHORT_PX = 0.02  # a step is the last when it is shorter: what the next would be is a tenth of it
 
 
@@ -80,7 +81,7 @@ def centres_under(
     window: float,
     adapt: bool,
 ) -> tuple:
-    """Centres under a window; with ``adapt``, once more where the measured widths, averaged along the stripe, are others.
+    """Centres under a window; with ``adapt``, once more under the measured widths, averaged along the stripe.
 
     Returns
     -------
@@ -88,28 +89,28 @@ def centres_under(
     """
     n = len(width_px)
     shift, u, measured, height = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    start, width, bounded, better = start_px.copy(), width_px.copy(), np.empty(n), np.empty(n)
-    for turn in range(2 if adapt else 1):
-        if turn:
-            for i in range(n):
-                w = measured[i] if measured[i] > 0.0 else 1.0  # NaN where nothing was seen
-                bounded[i] = min(max(w, 0.6 * width_px[i]), 1.5 * width_px[i])
-            window_mean(bounded, starts, 10, better)
+    start, width = start_px.copy(), width_px.copy()
+    if adapt:
+        weighted_centroids(
+            first, count, _LANES, distance, level, share, slope_variance, start, width, window, _ROUGH_PX, shift, np.empty(0), measured, height
+        )
+        bounded = np.empty(n)
+        for i in range(n):
+            w = measured[i] if measured[i] > 0.0 else 1.0  # NaN where nothing was seen
+            bounded[i] = min(max(w, 0.6 * width_px[i]), 1.5 * width_px[i])
+            start[i] = start[i] if np.isnan(shift[i]) else shift[i]
+        better = np.empty(n)
+        window_mean(bounded, starts, 10, better)
         for a in range(0, n, BLOCK):
             b = min(a + BLOCK, n)
-            if turn:
-                same = True
-                for i in range(a, b):
-                    same &= abs(better[i] - width[i]) <= _WIDTH_TOLERANCE * width[i]
-                if same:
-                    continue
-                for i in range(a, b):
-                    width[i] = better[i]
-                    start[i] = start[i] if np.isnan(shift[i]) else shift[i]
-            weighted_centroids(
-                first[a:b], count[a:b], _LANES, distance, level, share, slope_variance[a:b], start[a:b], width[a:b],
-                window, _SHORT_PX, shift[a:b], u[a:b], measured[a:b], height[a:b],
-            )  # fmt: skip
+            same = True
+            for i in range(a, b):
+                same &= abs(better[i] - width[i]) <= _WIDTH_TOLERANCE * width[i]
+            if not same:
+                width[a:b] = better[a:b]
+    weighted_centroids(
+        first, count, _LANES, distance, level, share, slope_variance, start, width, window, _SHORT_PX, shift, u, measured, height
+    )
     scatter, floor = scatter_and_floor(uv, starts, normal, shift, u, noise)
     return shift, u, measured, height, width, scatter, floor
 

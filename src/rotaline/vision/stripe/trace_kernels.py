@@ -25,6 +25,7 @@ _SHORT_PX = 0.05  # a step is the last when it is shorter
 _JOIN_PX = 9.0
 _BOTH_SIDES = 0.2  # least fall to the higher side, part of the fall to the lower side
 _STRAIGHT = 4  # points whose mean tells where an end goes on, and as many before them whereto
+_BESIDE_PX = 12.0
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.4, 20.0
 
 
@@ -165,7 +166,7 @@ def half_maximum(
 @compiled
 @no_type_check
 def _straighten(uv: np.ndarray, index: np.ndarray, edges: np.ndarray, width_px: np.ndarray) -> None:
-    """Let ends that do not continue their chain go straight on: beside a jump a centroid is drawn to the other side."""
+    """Let ends beside the end of another chain go straight on, where they do not yet: at a jump centroids are drawn to the other side."""
     keep = sound_ends(uv[index], edges, width_px[index])
     for c in range(len(edges) - 1):
         for end in range(2):
@@ -174,7 +175,12 @@ def _straighten(uv: np.ndarray, index: np.ndarray, edges: np.ndarray, width_px: 
             taken = 0
             while taken < edges[c + 1] - edges[c] and not keep[at - sign * taken]:
                 taken += 1
-            if taken == 0:
+            beside = False
+            for other in range(2 * (len(edges) - 1) if taken else 0):
+                i = index[edges[other // 2 + 1] - 1 if other % 2 else edges[other // 2]]
+                du, dv = uv[i, 0] - uv[index[at], 0], uv[i, 1] - uv[index[at], 1]
+                beside |= other // 2 != c and du * du + dv * dv < _BESIDE_PX * _BESIDE_PX
+            if not beside:
                 continue
             last = at - sign * taken
             for k in range(2):
