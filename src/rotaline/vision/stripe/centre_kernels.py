@@ -153,7 +153,11 @@ def weighted_centroids(
             same &= window_px == width
             reach = max(reach, _REACH * window_px + abs(start_px[begin + k]))
             variance, window_variance = width * width, window_px * window_px
-            s[_SHIFT + k], s[_BY_SHAPE + k], s[_BY_WINDOW + k] = start_px[begin + k], 0.5 / variance, 0.5 / window_variance
+            s[_SHIFT + k], s[_BY_SHAPE + k], s[_BY_WINDOW + k] = (
+                start_px[begin + k],
+                0.5 / variance,
+                0.5 / window_variance,
+            )
             s[_VARIANCE + k], s[_WINDOW + k], s[_MOST + k] = variance, window_variance, 1.5 * width
             s[_SLOPE_VARIANCE + k] = slope_variance[begin + k]
         lines = count[begin] // lanes

@@ -10,6 +10,7 @@ from rotaline.vision.images import Image
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.ends import average_along
 from rotaline.vision.stripe.find import find
+from rotaline.vision.stripe.gravity import measure_on_lines
 from rotaline.vision.stripe.judge_kernels import sound_points
 from rotaline.vision.stripe.measure import Measured, measure
 from rotaline.vision.stripe.model import StripePoints
@@ -42,10 +43,13 @@ def extract_stripe(image: Image, background: Image | None = None, options: Strip
     """
     found, plane = find(image, background, options)
     least = max(SHORTEST, int(options.min_length_px)) if found.crowded else SHORTEST
-    trace = trace_stripe(found, plane, least)
-    if trace is None:
-        return _empty()
-    points, plain = _judged(measure(trace, plane, options), plane, least, options)
+    measured = measure_on_lines(found, plane) if options.method == "gray-gravity" else None
+    if measured is None:
+        trace = trace_stripe(found, plane, least)
+        if trace is None:
+            return _empty()
+        measured = measure(trace, plane, options)
+    points, plain = _judged(measured, plane, least, options)
     if not plain:
         if not found.crowded:
             points = long_enough(points, options.min_length_px)

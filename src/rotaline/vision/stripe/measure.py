@@ -28,9 +28,9 @@ from rotaline.vision.stripe.uncertainty_kernels import scatter_and_floor
 _WINDOWS = (1.0, 2.0)  # widths of the stripe
 _WIDER = 1.05  # a wider window, which minds the shape of the profile less, may cost so much scatter
 _REACH = 3.5  # widths of the window
-_SIDE_PX, _SIDE_WIDTHS = 4.0, 4.0  # the strips reach so many widths and px to both sides
-_NOISE_FROM = 3.3  # widths: pixels further out tell the noise
-_LAG, _PAIRS = 3, 96  # points between profiles whose pixels are compared; such pairs a chain
+SIDE_PX, SIDE_WIDTHS = 4.0, 4.0  # the strips reach so many widths and px to both sides
+NOISE_FROM = 3.3  # widths: pixels further out tell the noise
+LAG, PAIRS = 3, 96  # points between profiles whose pixels are compared; such pairs a chain
 _MOST_HELD_PX = 2.0  # the first strips hold the wider window of a stripe up to this width
 _FIT_REACH = 4.5  # widths
 
@@ -100,10 +100,10 @@ def measure(trace: Trace, plane: Plane, options: StripeOptions) -> Measured:
         uv, starts, width, along, normal = cross_lines(trace.uv, trace.starts, trace.width_px, trace.normal)
         trace = Trace(uv, starts, width, along)
     width = trace.width_px
-    strips = _strips(trace, plane, _SIDE_WIDTHS * width + _SIDE_PX, 1 if options.method == "gray-gravity" else 3)
+    strips = _strips(trace, plane, SIDE_WIDTHS * width + SIDE_PX, 1 if options.method == "gray-gravity" else 3)
     differences, ends = side_differences(
-        plane.flat, plane.size, trace.uv, trace.normal, trace.starts, _NOISE_FROM * width,
-        _SIDE_WIDTHS * width + _SIDE_PX, _LAG, _PAIRS,
+        plane.flat, plane.size, trace.uv, trace.normal, trace.starts, NOISE_FROM * width,
+        SIDE_WIDTHS * width + SIDE_PX, LAG, PAIRS,
     )  # fmt: skip
     line, noise, differ, some = sides_and_noise(
         trace.starts, width, strips.first, strips.count, strips.distance, strips.level, strips.share, strips.clipped, strips.hits,
@@ -221,7 +221,7 @@ def _with_steps(
     start = np.where(np.isfinite(rough.shift_px), rough.shift_px, 0.0)
     at = np.flatnonzero(differ)
     uv, normal, width = trace.uv[at], trace.normal[at], trace.width_px[at]
-    reach = _SIDE_WIDTHS * width + _SIDE_PX
+    reach = SIDE_WIDTHS * width + SIDE_PX
     part, corner = plane.around(uv, float(reach.max()) + 3.0)
     clipped = part.source >= plane.limit
     profiles = sample_profiles(

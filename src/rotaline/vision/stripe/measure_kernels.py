@@ -92,7 +92,21 @@ def centres_under(
     start, width = start_px.copy(), width_px.copy()
     if adapt:
         weighted_centroids(
-            first, count, _LANES, distance, level, share, slope_variance, start, width, window, _ROUGH_PX, shift, np.empty(0), measured, height
+            first,
+            count,
+            _LANES,
+            distance,
+            level,
+            share,
+            slope_variance,
+            start,
+            width,
+            window,
+            _ROUGH_PX,
+            shift,
+            np.empty(0),
+            measured,
+            height,
         )
         bounded = np.empty(n)
         for i in range(n):
@@ -109,7 +123,21 @@ def centres_under(
             if not same:
                 width[a:b] = better[a:b]
     weighted_centroids(
-        first, count, _LANES, distance, level, share, slope_variance, start, width, window, _SHORT_PX, shift, u, measured, height
+        first,
+        count,
+        _LANES,
+        distance,
+        level,
+        share,
+        slope_variance,
+        start,
+        width,
+        window,
+        _SHORT_PX,
+        shift,
+        u,
+        measured,
+        height,
     )
     scatter, floor = scatter_and_floor(uv, starts, normal, shift, u, noise)
     return shift, u, measured, height, width, scatter, floor

@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.ends import LEAST_CHECKED
+from rotaline.vision.stripe.judge_kernels import medians, points_together
 from rotaline.vision.stripe.model import StripePoints
 
 _NEAR_PX = 20.0
@@ -45,12 +43,7 @@ def long_enough(points: StripePoints, min_length_px: float) -> StripePoints:
     slender = core >= _SLENDER * width
     fits = alike & slender & (height > _LEAST_PART * _usual(height[known], count[known]))
     fits |= long & (alike | slender)
-    part = points.select(fits[points.segment])
-    pairs = KDTree(part.uv).query_pairs(_NEAR_PX, output_type="ndarray")
-    a, b = part.segment[pairs].T
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(count), len(count)))
-    _, group = connected_components(graph, directed=False)
-    together = np.bincount(group, weights=np.where(fits, count, 0))[group]
+    together = points_together(points.uv, points.segment, fits, min_length_px, _NEAR_PX)
     return _renumber(points.select((fits & (together >= min_length_px))[points.segment]))
 
 
@@ -62,6 +55,8 @@ def doubtful_ends(points: StripePoints) -> StripePoints:
     covers cuts up to 30 deg from the normal.
     """
     if len(points) == 0:
+        return points
+    if np.bincount(points.segment).min() >= LEAST_CHECKED:
         return points
     chains = Chains(points.uv, points.segment)
     start, stop = chains.bounds()
@@ -99,7 +94,7 @@ def brightest(points: StripePoints) -> StripePoints:
 
 def _medians(points: StripePoints, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
     """Median of a value over each segment."""
-    return np.array([np.median(values[points.segment == k]) for k in range(points.segment.max(initial=-1) + 1)])
+    return medians(values, points.segment)
 
 
 def _usual(values: Float[np.ndarray, " k"], count: Int[np.ndarray, " k"]) -> float:

@@ -41,12 +41,13 @@ def trace_stripe(found: FoundStripe, plane: Plane, least: int) -> Trace | None:
 
     The pixels across the chains are taken, one a line of the image: along the rows or columns in which the points were found, or, of
     chains found in a smaller image, along the normals. The points move to the centroids, the chains are broken where the centres jump and joined
-    across gaps, and the points spaced equally. Where the stripe is wider than it was thought to be, this is done once more, along the normals.
+    across gaps, and the points spaced equally. Where the stripe is wider than it was thought to be, or was found in a smaller image and
+    is in pieces, this is done once more, along the normals.
     """
     if len(found.uv) == 0:
         return None
-    uv = found.uv
-    if (found.scale_px > 1.0).any():
+    uv, coarse = found.uv, bool((found.scale_px > 1.0).any())
+    if coarse:
         uv, starts, width, normal = begin(uv, found.chain, found.scale_px)
         p = strips_of(plane, uv, normal, 3.0 * width, 1)
         uv, starts, width, normal = half_maximum(
@@ -65,7 +66,7 @@ def trace_stripe(found: FoundStripe, plane: Plane, least: int) -> Trace | None:
             least if last else max(SHORTEST, least // 2), not last,
         )  # fmt: skip
         along = normal
-        if width.max() <= _WIDER * widest:
+        if width.max() <= _WIDER * widest and (len(starts) == 2 or not coarse):
             break
     uv, starts, width, normal = long_chains(uv, starts, width, normal, least)
     return Trace(uv, starts, width, normal) if len(uv) else None
