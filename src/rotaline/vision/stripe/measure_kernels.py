@@ -11,6 +11,8 @@ from rotaline.vision.stripe.strip_kernels import BLOCK
 from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_floor
 
 _DIFFER = 4.0  # noises
+_AROUND = 8  # points on both sides that tell of an edge
+_LEAST_STEPPED = 5  # so few are at a corner, where the side of a point sees what the stripe turns to
 _LANES = 3
 _WIDTH_TOLERANCE = 0.08  # a window may be off by this part
 _ROUGH_PX = 0.3  # to know the width, a step that is shorter is good enough
@@ -40,7 +42,7 @@ def sides_and_noise(
     line : (n, 3)   of :func:`subtract_sides`
     noise : (n,)   of a pixel
     steps : (n,) bool   the two sides differ, here and around
-    any_steps : bool
+    any_steps : bool   at some points, which are worth a fit
     """
     n = len(width_px)
     line, sides = np.empty((n, 3)), np.empty((n, 2))
@@ -55,11 +57,13 @@ def sides_and_noise(
     steps = np.zeros(n, np.bool_)
     if some:
         mean = np.empty(n)
-        window_mean(differ, starts, 8, mean)
+        window_mean(differ, starts, _AROUND, mean)
         some = False
+        stepped = 0
         for i in range(n):
             steps[i] = mean[i] > 0.5
-            some |= steps[i]
+            stepped += steps[i]
+        some = stepped >= _LEAST_STEPPED
     return line, noise, steps, some
 
 

@@ -25,7 +25,8 @@ _SHORT_PX = 0.05  # a step is the last when it is shorter
 _JOIN_PX = 9.0
 _BOTH_SIDES = 0.2  # least fall to the higher side, part of the fall to the lower side
 _STRAIGHT = 4  # points whose mean tells where an end goes on, and as many before them whereto
-_BESIDE_PX = 12.0
+_BESIDE_PX = 12.0  # to the end of another chain, at a jump
+_LEG, _ALIGNED = 12, 0.9  # points that tell the direction of an end; cosine
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.4, 20.0
 
 
@@ -166,7 +167,7 @@ def half_maximum(
 @compiled
 @no_type_check
 def _straighten(uv: np.ndarray, index: np.ndarray, edges: np.ndarray, width_px: np.ndarray) -> None:
-    """Let ends beside the end of another chain go straight on, where they do not yet: at a jump centroids are drawn to the other side."""
+    """Let ends beside the end of a chain of the same direction go straight on, where they do not yet: at a jump centroids are drawn to the other side."""
     keep = sound_ends(uv[index], edges, width_px[index])
     for c in range(len(edges) - 1):
         for end in range(2):
@@ -177,9 +178,16 @@ def _straighten(uv: np.ndarray, index: np.ndarray, edges: np.ndarray, width_px: 
                 taken += 1
             beside = False
             for other in range(2 * (len(edges) - 1) if taken else 0):
-                i = index[edges[other // 2 + 1] - 1 if other % 2 else edges[other // 2]]
-                du, dv = uv[i, 0] - uv[index[at], 0], uv[i, 1] - uv[index[at], 1]
-                beside |= other // 2 != c and du * du + dv * dv < _BESIDE_PX * _BESIDE_PX
+                a, b = edges[other // 2], edges[other // 2 + 1] - 1
+                one, two = (
+                    uv[index[b if other % 2 else a]],
+                    uv[index[max(b - _LEG, a) if other % 2 else min(a + _LEG, b)]],
+                )
+                mine, far = uv[index[at]], uv[index[at - sign * _LEG]]
+                away = (one[0] - mine[0]) ** 2 + (one[1] - mine[1]) ** 2
+                au, av, bu, bv = one[0] - two[0], one[1] - two[1], mine[0] - far[0], mine[1] - far[1]
+                aligned = abs(au * bu + av * bv) > _ALIGNED * np.sqrt((au * au + av * av) * (bu * bu + bv * bv))
+                beside |= other // 2 != c and b - a >= _LEG and aligned and away < _BESIDE_PX * _BESIDE_PX
             if not beside:
                 continue
             last = at - sign * taken
