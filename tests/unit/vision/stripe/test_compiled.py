@@ -12,7 +12,7 @@ from rotaline.vision.stripe.centre_kernels import subtract_sides, weighted_centr
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
-from rotaline.vision.stripe.judge_kernels import sound_ends
+from rotaline.vision.stripe.judge_kernels import medians, points_together, sound_ends
 from rotaline.vision.stripe.plain import centres as plain_centres
 from rotaline.vision.stripe.plain import curve as plain_curve
 from rotaline.vision.stripe.plain import ends as plain_ends
@@ -184,6 +184,18 @@ def test_points_of_another_width_are_told_apart():
     good = np.ones(120, dtype=bool)
     chain_kernels.alike(width, np.array([0, 120]), 0.2, good)
     assert np.flatnonzero(~good).tolist() == [40, 41, 42, 100]
+
+
+def test_short_pieces_close_together_count_as_one():
+    """Short ones in a row, one that does not fit among them, one alone, and one beside a long one."""
+    places = [0.0, 15.0, 18.0, 30.0, 200.0, 400.0, 430.0]
+    counts = [5, 5, 2, 4, 6, 20, 3]
+    uv = np.concatenate([np.column_stack([a + np.arange(n), np.zeros(n)]) for a, n in zip(places, counts, strict=True)])
+    segment = np.repeat(np.arange(7), counts)
+    fits = np.array([True, True, False, True, True, True, True])
+    assert points_together(uv, segment, fits, 10.0, 20.0).tolist() == [14, 14, 0, 14, 6, 23, 23]
+    assert points_together(uv, segment, fits, 10.0, 5.0).tolist() == [5, 5, 0, 4, 6, 20, 3]
+    assert medians(uv[:, 0].copy(), segment).tolist() == [np.median(uv[segment == k, 0]) for k in range(7)]
 
 
 @pytest.mark.parametrize("n", [30, 301])
