@@ -19,32 +19,25 @@ def kth_smallest(values: np.ndarray, n: int, k: int) -> float:
     """The value that would stand at place ``k`` if the first ``n`` were in order; they are partitioned about it."""
     low, high = 0, n - 1
     while high > low:
-        middle = (low + high) >> 1
-        if values[middle] < values[low]:
-            values[middle], values[low] = values[low], values[middle]
-        if values[high] < values[low]:
-            values[high], values[low] = values[low], values[high]
-        if values[high] < values[middle]:
-            values[high], values[middle] = values[middle], values[high]
-        if high - low < 3:
+        a, b, c = values[low], values[(low + high) >> 1], values[high]
+        pivot = max(min(a, b), min(max(a, b), c))
+        j = low
+        for i in range(low, high + 1):  # without a branch: which way it would go cannot be foretold
+            x = values[i]
+            values[i] = values[j]
+            values[j] = x
+            j += x < pivot
+        if j > low:
+            low, high = (low, j - 1) if k < j else (j, high)
+            continue
+        for i in range(low, high + 1):
+            x = values[i]
+            values[i] = values[j]
+            values[j] = x
+            j += x <= pivot
+        if k < j or j == low:
             break
-        pivot = values[middle]
-        i, j = low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if k <= j:
-            high = j
-        elif k >= i:
-            low = i
-        else:
-            break
+        low = j
     return values[k]
 
 

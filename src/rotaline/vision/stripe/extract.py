@@ -15,7 +15,7 @@ from rotaline.vision.stripe.judge_kernels import sound_points
 from rotaline.vision.stripe.measure import Measured, measure
 from rotaline.vision.stripe.model import StripePoints
 from rotaline.vision.stripe.options import StripeOptions as StripeOptions
-from rotaline.vision.stripe.pieces import brightest, doubtful_ends, long_enough, of_one_width
+from rotaline.vision.stripe.pieces import brightest, counting, of_one_width
 from rotaline.vision.stripe.plane import Plane
 from rotaline.vision.stripe.trace import SHORTEST, trace_stripe
 
@@ -51,9 +51,7 @@ def extract_stripe(image: Image, background: Image | None = None, options: Strip
         measured = measure(trace, plane, options)
     points, plain = _judged(measured, plane, least, options)
     if not plain:
-        if not found.crowded:
-            points = long_enough(points, options.min_length_px)
-        points = doubtful_ends(points)
+        points = counting(points, options.min_length_px, found.crowded)
     if found.crowded or plane.lit:
         points = of_one_width(points)
     return points if options.keep == "all" else brightest(points)

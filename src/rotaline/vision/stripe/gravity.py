@@ -4,18 +4,14 @@ import numpy as np
 
 from rotaline.vision.stripe.centres import Centres
 from rotaline.vision.stripe.found import FoundStripe
-from rotaline.vision.stripe.gravity_kernels import noise_and_floor, rough_centres
-from rotaline.vision.stripe.measure import LAG, NOISE_FROM, PAIRS, SIDE_PX, SIDE_WIDTHS, Measured
-from rotaline.vision.stripe.measure_kernels import clipped_cores
+from rotaline.vision.stripe.gravity_kernels import centres_on_lines, whole_lines
+from rotaline.vision.stripe.measure import NOISE_FROM, Measured
 from rotaline.vision.stripe.plane import Plane
-from rotaline.vision.stripe.row_kernels import cross_lines, flat_centroids
-from rotaline.vision.stripe.strip_kernels import side_differences
 from rotaline.vision.stripe.strips import strips_of
 from rotaline.vision.stripe.trace import Trace
-from rotaline.vision.stripe.trace_kernels import lines_across
 
 _SIDE = 3.0  # widths: the background begins
-_WIDTH_PX = 1.5  # of the stripe, to begin with
+_REACH, _REACH_PX = 3.5, 3.0  # widths and px to both sides
 
 
 def measure_on_lines(found: FoundStripe, plane: Plane) -> Measured | None:
@@ -25,32 +21,22 @@ def measure_on_lines(found: FoundStripe, plane: Plane) -> Measured | None:
     """
     if len(found.uv) == 0 or (found.scale_px > 1.0).any():
         return None
-    starts, width, normal, _ = lines_across(found.uv, found.chain)
-    uv, starts, width, along, normal = cross_lines(found.uv, starts, np.full(len(width), _WIDTH_PX), normal)
-    for _ in range(2):
-        reach = 3.5 * width + 3.0
+    uv, starts, width, along = whole_lines(found.uv, found.chain)
+    for again in (True, False):
+        reach = _REACH * width + _REACH_PX
         strips = strips_of(plane, uv, along, reach, 1)
-        shift, good, moved, normal, width = rough_centres(
-            uv, starts, width, along, strips.first, strips.count, strips.distance, strips.level, strips.share,
-            strips.clipped, strips.hits,
+        width, enough, normal, shift, u, wide, height, noise, floor, saturated = centres_on_lines(
+            uv, starts, width, along, reach, strips.first, strips.count, strips.distance, strips.level, strips.share,
+            strips.clipped, strips.hits, 0.29 * plane.unit, NOISE_FROM, _SIDE, again,
         )  # fmt: skip
-        if (_SIDE * width + SIDE_PX <= reach + 2.0).all():
+        if enough:
             break
-    differences, ends = side_differences(
-        plane.flat, plane.size, moved, along, starts, NOISE_FROM * width, SIDE_WIDTHS * width + SIDE_PX, LAG, PAIRS
+    return Measured(
+        Trace(uv, starts, width, along),
+        normal,
+        Centres(shift, u, wide, height),
+        noise,
+        float(floor),
+        np.zeros(len(width)),
+        saturated,
     )
-    centres = Centres(
-        *flat_centroids(
-            strips.first, strips.count, strips.distance, strips.level, strips.share, strips.clipped, strips.hits, width, shift
-        )
-    )  # fmt: skip
-    noise, floor = noise_and_floor(
-        uv, starts, along, centres.shift_px, centres.u_px, good, differences, ends, 0.29 * plane.unit
-    )
-    saturated = (
-        clipped_cores(strips.hits, shift, width, strips.first, strips.count, strips.distance, strips.clipped)
-        if strips.hits.any()
-        else np.zeros(len(width), dtype=bool)
-    )
-    trace = Trace(uv, starts, width, along)
-    return Measured(trace, normal, centres, noise, float(floor), np.zeros(len(width)), saturated)

@@ -5,10 +5,10 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.chain_kernels import alike, break_chains, median_of, starts_of
+from rotaline.vision.stripe.chain_kernels import alike, break_chains, median_of
+from rotaline.vision.stripe.piece_kernels import LEAST_PART, SLENDER
 
 _REFERENCE, _MOST = 12, 6  # points that say how a piece goes on; points taken from an end
-_LEAST_PART, _SLENDER = 0.25, 5.0  # see rotaline.vision.stripe.pieces
 
 
 @compiled
@@ -156,59 +156,7 @@ def sound_points(
             most, widest = max(most, high[j]), max(widest, wide[j])
         core = 0
         for j in range(pieces[c], pieces[c + 1]):
-            core += high[j] > _LEAST_PART * most
+            core += high[j] > LEAST_PART * most
         count = pieces[c + 1] - pieces[c]
-        plain &= count >= min_length and count >= _MOST + _REFERENCE and core >= _SLENDER * widest
+        plain &= count >= min_length and count >= _MOST + _REFERENCE and core >= SLENDER * widest
     return out, across, wide, high, stated, top, segment, plain
-
-
-@compiled
-@no_type_check
-def medians(values: np.ndarray, segment: np.ndarray) -> np.ndarray:
-    """Median of a value over each segment; the points of a segment stand together, in ascending order."""
-    starts = starts_of(segment)
-    scratch, out = np.empty(len(values)), np.empty(len(starts) - 1)
-    for c in range(len(starts) - 1):
-        m = starts[c + 1] - starts[c]
-        scratch[:m] = values[starts[c] : starts[c + 1]]
-        out[c] = median_of(scratch, m)
-    return out
-
-
-@compiled
-@no_type_check
-def points_together(uv: np.ndarray, segment: np.ndarray, fits: np.ndarray, least: float, reach_px: float) -> np.ndarray:
-    """Number of points of each segment that ``fits``, and of those that fit and are near to it, or to one that is; 0 for the others.
-
-    Near: a point of one is less than ``reach_px`` from a point of the other. Segments of ``least`` points are not asked which of them are near.
-    """
-    starts = starts_of(segment)
-    n = len(starts) - 1
-    group = np.arange(n)
-    for a in range(n):
-        if not fits[a] or starts[a + 1] - starts[a] >= least:
-            continue
-        for b in range(n):
-            if not fits[b] or group[a] == group[b]:
-                continue
-            near = False
-            for j in range(starts[b], starts[b + 1]):
-                for i in range(starts[a], starts[a + 1]):
-                    du, dv = uv[i, 0] - uv[j, 0], uv[i, 1] - uv[j, 1]
-                    near |= du * du + dv * dv <= reach_px * reach_px
-                if near:
-                    break
-            if near:
-                one, other = group[a], group[b]
-                for c in range(n):
-                    if group[c] == other:
-                        group[c] = one
-    total = np.zeros(n, np.int64)
-    for c in range(n):
-        if fits[c]:
-            total[group[c]] += starts[c + 1] - starts[c]
-    out = np.zeros(n, np.int64)
-    for c in range(n):
-        if fits[c]:
-            out[c] = total[group[c]]
-    return out

@@ -10,7 +10,7 @@ from rotaline.vision.stripe.centres import Centres
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
 from rotaline.vision.stripe.measure_kernels import (
-    centres_under,
+    best_centres,
     clipped_cores,
     sides_and_noise,
     subtract_lines,
@@ -25,13 +25,12 @@ from rotaline.vision.stripe.strips import Strips, strips_of
 from rotaline.vision.stripe.trace import Trace
 from rotaline.vision.stripe.uncertainty_kernels import scatter_and_floor
 
-_WINDOWS = (1.0, 2.0)  # widths of the stripe
-_WIDER = 1.05  # a wider window, which minds the shape of the profile less, may cost so much scatter
 _REACH = 3.5  # widths of the window
 SIDE_PX, SIDE_WIDTHS = 4.0, 4.0  # the strips reach so many widths and px to both sides
 NOISE_FROM = 3.3  # widths: pixels further out tell the noise
 LAG, PAIRS = 3, 96  # points between profiles whose pixels are compared; such pairs a chain
 _MOST_HELD_PX = 2.0  # the first strips hold the wider window of a stripe up to this width
+_PIXEL_PX = 12.0**-0.5  # standard deviation of a pixel's width
 _FIT_REACH = 4.5  # widths
 
 
@@ -127,7 +126,7 @@ def measure(trace: Trace, plane: Plane, options: StripeOptions) -> Measured:
             floor = _floor(trace, centres, noise)
         middle = start
     else:
-        rough, _, _ = _centres(trace, strips, ground, zero, width, noise, 1.0)
+        rough, *_ = _centres(trace, strips, ground, zero, width, noise, 1.0)
         middle = np.where(np.isfinite(rough.shift_px), rough.shift_px, 0.0)
         if options.method == "steger":
             centres = _steger(trace, plane, rough, middle)
@@ -162,20 +161,19 @@ def _improved(
     noise: Float[np.ndarray, " n"],
 ) -> tuple[Centres, float]:
     """Centres under a window of one width, or of two where these scatter as little; and the floor of their uncertainty."""
-    width = trace.width_px
-    best: tuple[float, float, Centres] | None = None
-    for window in _WINDOWS:
-        if window > 1.0 and width.max() > _MOST_HELD_PX:
-            strips = _strips(trace, plane, _REACH * window * width + 1.5)
-            ground.subtract(strips)
-        centres, width, (scatter, floor) = _centres(trace, strips, ground, start, width, noise, window, window == 1.0)
-        if best is None or scatter < _WIDER * best[0]:
-            best = (scatter, floor, centres)
-        if floor < 0.5 * scatter:
-            break  # the noise of the pixels explains the scatter: the narrow window is the best
+    centres, width, scatter, floor, _, wider = _centres(
+        trace, strips, ground, start, trace.width_px, noise, 1.0, True, _MOST_HELD_PX
+    )
+    if wider:
+        strips = _strips(trace, plane, _REACH * 2.0 * width + 1.5)
+        ground.subtract(strips)
         start = np.where(np.isnan(centres.shift_px), start, centres.shift_px)
-    assert best is not None
-    return best[2], best[1]
+        other, _, _, other_floor, better, _ = _centres(
+            trace, strips, ground, start, width, noise, 2.0, best_scatter=scatter
+        )
+        if better:
+            return other, other_floor
+    return centres, floor
 
 
 def _centres(
@@ -187,13 +185,16 @@ def _centres(
     noise: Float[np.ndarray, " n"],
     window: float,
     adapt: bool = False,
-) -> tuple[Centres, Float[np.ndarray, " n"], tuple[float, float]]:
-    """Weighted centroids, the widths used; their scatter along the chains, and its part that the noise does not explain."""
-    shift, u, measured, height, used, scatter, floor = centres_under(
+    most_held_px: float = 0.0,
+    best_scatter: float = np.inf,
+) -> tuple[Centres, Float[np.ndarray, " n"], float, float, bool, bool]:
+    """See :func:`best_centres`."""
+    shift, u, measured, height, *more = best_centres(
         trace.uv, trace.starts, trace.normal, width, noise, strips.first, strips.count, strips.distance, strips.level, strips.share,
-        ground.line[:, 2], start, window, adapt,
+        ground.line[:, 2], start, window, adapt, most_held_px, best_scatter,
     )  # fmt: skip
-    return Centres(shift, u, measured, height), used, (scatter, floor)
+    used, scatter, floor, better, wider = more
+    return Centres(shift, u, measured, height), used, float(scatter), float(floor), bool(better), bool(wider)
 
 
 def _floor(trace: Trace, centres: Centres, noise: Float[np.ndarray, " n"]) -> float:
@@ -217,7 +218,7 @@ def _with_steps(
     zero: Float[np.ndarray, " n"],
 ) -> tuple[_Ground, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """The ground with steps where the two sides differ; the strips follow. Also the centres so far, and their doubt."""
-    rough, _, _ = _centres(trace, strips, ground, zero, trace.width_px, noise, 1.0)
+    rough, *_ = _centres(trace, strips, ground, zero, trace.width_px, noise, 1.0)
     start = np.where(np.isfinite(rough.shift_px), rough.shift_px, 0.0)
     at = np.flatnonzero(differ)
     uv, normal, width = trace.uv[at], trace.normal[at], trace.width_px[at]
@@ -275,8 +276,8 @@ def _replaced(
 
 
 def _steger(trace: Trace, plane: Plane, rough: Centres, middle: Float[np.ndarray, " n"]) -> Centres:
-    """Ridge points of the image, smoothed as wide as the stripe is, at the pixels that the curve passes; height from the centroids."""
-    sigma = float(np.clip(np.nanmedian(rough.width_px), 0.8, 10.0))
+    """Ridge points of the image, smoothed as wide as the stripe is seen by a pixel, at the pixels that the curve passes; height from the centroids."""
+    sigma = float(np.clip(np.hypot(np.nanmedian(rough.width_px), _PIXEL_PX), 0.8, 10.0))
     half = int(np.ceil(4 * sigma))
     x = np.arange(-half, half + 1)
     g = np.exp(-0.5 * (x / sigma) ** 2)

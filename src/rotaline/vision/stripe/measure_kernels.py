@@ -15,6 +15,7 @@ _AROUND = 8  # points on both sides that tell of an edge
 _LEAST_STEPPED = 5  # so few are at a corner, where the side of a point sees what the stripe turns to
 _LANES = 3
 _WIDTH_TOLERANCE = 0.08  # a window may be off by this part
+_WIDER = 1.05  # a wider window, which minds the shape of the profile less, may cost so much scatter
 _ROUGH_PX = 0.3  # to know the width, a step that is shorter is good enough
 _SHORT_PX = 0.02  # a step is the last when it is shorter: what the next would be is a tenth of it
 
@@ -69,7 +70,7 @@ def sides_and_noise(
 
 @compiled
 @no_type_check
-def centres_under(
+def best_centres(
     uv: np.ndarray,
     starts: np.ndarray,
     normal: np.ndarray,
@@ -84,67 +85,81 @@ def centres_under(
     start_px: np.ndarray,
     window: float,
     adapt: bool,
+    most_held_px: float,
+    best_scatter: float,
 ) -> tuple:
-    """Centres under a window; with ``adapt``, once more under the measured widths, averaged along the stripe.
+    """Centres under a window of one width, and under one of two where these scatter as little.
+
+    Parameters
+    ----------
+    window : float   the first one, widths
+    adapt : bool   take the measured widths, averaged along the stripe
+    most_held_px : float   the strips hold the wider window of a stripe up to this width; 0 if that is not wanted
+    best_scatter : float   of narrower windows that were tried
 
     Returns
     -------
-    shifts, uncertainties for a noise of 1, measured widths, heights; widths that were used; scatter, and its unexplained part
+    shifts, uncertainties for a noise of 1, measured widths, heights
+        Under the best window; under the last one, if no new one is better.
+    width : (n,)   widths that were used
+    scatter, floor : float   of these centres, and its part that the noise does not explain
+    better : bool   they are better than those of narrower windows
+    wider : bool   the wider window is still to be tried
     """
     n = len(width_px)
     shift, u, measured, height = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    other_shift, other_u, other_measured, other_height = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     start, width = start_px.copy(), width_px.copy()
-    if adapt:
+    scatter, floor, better, wider = best_scatter, 0.0, False, False
+    turn = 0 if adapt else 1
+    while True:
         weighted_centroids(
-            first,
-            count,
-            _LANES,
-            distance,
-            level,
-            share,
-            slope_variance,
-            start,
-            width,
-            window,
-            _ROUGH_PX,
-            shift,
-            np.empty(0),
-            measured,
-            height,
-        )
-        bounded = np.empty(n)
+            first, count, _LANES, distance, level, share, slope_variance, start, width, window,
+            _SHORT_PX if turn else _ROUGH_PX, other_shift, other_u if turn else np.empty(0), other_measured, other_height,
+        )  # fmt: skip
         for i in range(n):
-            w = measured[i] if measured[i] > 0.0 else 1.0  # NaN where nothing was seen
-            bounded[i] = min(max(w, 0.6 * width_px[i]), 1.5 * width_px[i])
-            start[i] = start[i] if np.isnan(shift[i]) else shift[i]
-        better = np.empty(n)
-        window_mean(bounded, starts, 10, better)
-        for a in range(0, n, BLOCK):
-            b = min(a + BLOCK, n)
-            same = True
-            for i in range(a, b):
-                same &= abs(better[i] - width[i]) <= _WIDTH_TOLERANCE * width[i]
-            if not same:
-                width[a:b] = better[a:b]
-    weighted_centroids(
-        first,
-        count,
-        _LANES,
-        distance,
-        level,
-        share,
-        slope_variance,
-        start,
-        width,
-        window,
-        _SHORT_PX,
-        shift,
-        u,
-        measured,
-        height,
-    )
-    scatter, floor = scatter_and_floor(uv, starts, normal, shift, u, noise)
-    return shift, u, measured, height, width, scatter, floor
+            start[i] = start[i] if np.isnan(other_shift[i]) else other_shift[i]
+        if turn == 0:
+            _adapt(other_measured, starts, width_px, width)
+            turn = 1
+            continue
+        scatter_now, floor_now = scatter_and_floor(uv, starts, normal, other_shift, other_u, noise)
+        if not better or scatter_now < _WIDER * scatter:
+            better = scatter_now < _WIDER * scatter
+            scatter, floor = scatter_now, floor_now
+            shift, other_shift = other_shift, shift
+            u, other_u = other_u, u
+            measured, other_measured = other_measured, measured
+            height, other_height = other_height, height
+        if floor_now < 0.5 * scatter_now or window > 1.0 or most_held_px == 0.0:
+            break  # where the noise of the pixels explains the scatter, the narrow window is the best
+        widest = 0.0
+        for i in range(n):
+            widest = max(widest, width[i])
+        if widest > most_held_px:
+            wider = True
+            break
+        window = 2.0
+    return shift, u, measured, height, width, scatter, floor, better, wider
+
+
+@compiled
+@no_type_check
+def _adapt(measured: np.ndarray, starts: np.ndarray, width_px: np.ndarray, width: np.ndarray) -> None:
+    """Put measured widths, averaged along the stripe, in the place of ``width`` where that matters."""
+    n = len(width)
+    bounded, better = np.empty(n), np.empty(n)
+    for i in range(n):
+        w = measured[i] if measured[i] > 0.0 else 1.0  # NaN where nothing was seen
+        bounded[i] = min(max(w, 0.6 * width_px[i]), 1.5 * width_px[i])
+    window_mean(bounded, starts, 10, better)
+    for a in range(0, n, BLOCK):
+        b = min(a + BLOCK, n)
+        same = True
+        for i in range(a, b):
+            same &= abs(better[i] - width[i]) <= _WIDTH_TOLERANCE * width[i]
+        if not same:
+            width[a:b] = better[a:b]
 
 
 @compiled

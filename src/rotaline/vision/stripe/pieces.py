@@ -7,14 +7,28 @@ from jaxtyping import Float, Int
 
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.ends import LEAST_CHECKED
-from rotaline.vision.stripe.judge_kernels import medians, points_together
 from rotaline.vision.stripe.model import StripePoints
+from rotaline.vision.stripe.piece_kernels import (
+    ALIKE,
+    LEAST_PART,
+    NEAR_PX,
+    SLENDER,
+    medians,
+    pieces_that_count,
+    points_together,
+)
 
-_NEAR_PX = 20.0
-_ALIKE = 1.5  # ratio of widths
-_LEAST_PART = 0.25  # of the usual height; of the greatest in a piece: what fades out is no length
-_SLENDER = 5.0  # widths: a spot of light is not as long
 _WIDTH_RATIO = 2.2
+
+
+def counting(points: StripePoints, min_length_px: float, crowded: bool) -> StripePoints:
+    """What :func:`long_enough`, unless short pieces are gone already (``crowded``), and :func:`doubtful_ends` leave."""
+    return StripePoints(
+        *pieces_that_count(
+            points.uv, points.normal, points.width_px, points.intensity, points.u_normal_px, points.saturated, points.segment,
+            min_length_px, crowded, LEAST_CHECKED,
+        )
+    )  # fmt: skip
 
 
 def long_enough(points: StripePoints, min_length_px: float) -> StripePoints:
@@ -33,17 +47,17 @@ def long_enough(points: StripePoints, min_length_px: float) -> StripePoints:
         return points
     highest = np.zeros(points.segment.max() + 1)
     np.maximum.at(highest, points.segment, points.intensity)
-    strong = points.intensity > _LEAST_PART * highest[points.segment]
+    strong = points.intensity > LEAST_PART * highest[points.segment]
     count, core = np.bincount(points.segment), np.bincount(points.segment[strong])
     width, height = _medians(points, points.width_px), _medians(points, points.intensity)
     long = count >= min_length_px
     known = long if long.any() else count > 0
     ratio = width / _usual(width[known], count[known])
-    alike = (ratio < _ALIKE) & (ratio > 1.0 / _ALIKE)
-    slender = core >= _SLENDER * width
-    fits = alike & slender & (height > _LEAST_PART * _usual(height[known], count[known]))
+    alike = (ratio < ALIKE) & (ratio > 1.0 / ALIKE)
+    slender = core >= SLENDER * width
+    fits = alike & slender & (height > LEAST_PART * _usual(height[known], count[known]))
     fits |= long & (alike | slender)
-    together = points_together(points.uv, points.segment, fits, min_length_px, _NEAR_PX)
+    together = points_together(points.uv, points.segment, fits, min_length_px, NEAR_PX)
     return _renumber(points.select((fits & (together >= min_length_px))[points.segment]))
 
 

@@ -14,6 +14,7 @@ _LEAST_SIDE = 2  # pixels
 _PASSES = 3
 _ROOT_2PI = np.sqrt(2.0 * np.pi)
 _ZERO, _UNIT = np.float32(0.0), np.float32(1.0)
+_SHORT = np.float32(0.003)  # px; steps are the last when none is longer
 _CENTRE, _LIMIT, _LEVEL, _SLOPE = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
 _N, _BELOW, _X1, _X2, _Q, _XQ, _XXQ = (k * BLOCK for k in range(4, 11))
 
@@ -163,18 +164,29 @@ def flat_centroids(
                     slope = (s[_XQ + k] - mean_x * s[_Q + k]) / max(s[_X2 + k] - mean_x * x1, 1e-9)
                 s[_LEVEL + k], s[_SLOPE + k] = mean_q - slope * mean_x, slope
             s[_N:] = _ZERO
-            for a in range(low, end, BLOCK):
-                _add_inside(s, distance[a : a + BLOCK], level[a : a + BLOCK], share[a : a + BLOCK])
+            reach = _ZERO
             for k in range(m):
-                i = begin + k
-                mass = float(s[_Q + k])
-                step = s[_XQ + k] / mass if mass > 0.0 else 0.0
+                reach = max(reach, abs(s[_CENTRE + k]) + s[_LIMIT + k])
+            inner = min(int(reach + 1.5), count[begin] // 2)
+            middle = low + BLOCK * (count[begin] // 2)
+            for a in range(middle - BLOCK * inner, middle + BLOCK * (inner + 1), BLOCK):
+                _add_inside(s, distance[a : a + BLOCK], level[a : a + BLOCK], share[a : a + BLOCK])
+            longest = _ZERO
+            for k in range(BLOCK):
+                step = s[_XQ + k] / s[_Q + k] if s[_Q + k] > _ZERO else _ZERO
+                s[_BELOW + k] = step
                 s[_CENTRE + k] += step
-                near = s[_X2 + k] - 2.0 * step * s[_X1 + k] + step * step * s[_N + k]
-                shift[i] = s[_CENTRE + k] if mass > 0.0 else np.nan
-                u[i] = np.sqrt(max(near, 0.0)) / mass
-                wide[i] = np.sqrt(max(s[_XXQ + k] / mass - step * step, 0.1))
-                high[i] = mass / (_ROOT_2PI * wide[i])
+                longest = max(longest, abs(step) if k < m else _ZERO)
+            if longest < _SHORT:
+                break
+        for k in range(m):
+            i = begin + k
+            mass, step = float(s[_Q + k]), float(s[_BELOW + k])
+            near = s[_X2 + k] - 2.0 * step * s[_X1 + k] + step * step * s[_N + k]
+            shift[i] = s[_CENTRE + k] if mass > 0.0 else np.nan
+            u[i] = np.sqrt(max(near, 0.0)) / mass
+            wide[i] = np.sqrt(max(s[_XXQ + k] / mass - step * step, 0.1))
+            high[i] = mass / (_ROOT_2PI * wide[i])
         for k in range(m):
             if hits[begin + k]:
                 for a in range(low + k, end, BLOCK):

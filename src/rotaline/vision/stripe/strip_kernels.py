@@ -12,7 +12,7 @@ import numpy as np
 
 from rotaline.geometry.compiled import compiled
 
-BLOCK = 64  # points
+BLOCK = 32  # points
 _TIE = 1e-6  # px; so that rounding errors do not decide which pixels are taken
 _F = np.float32
 _ZERO, _ONE, _LEAST = _F(0.0), _F(1.0), _F(1e-5)
@@ -22,7 +22,7 @@ _X, _FRACTION, _SLOPE, _COSINE, _SINE, _REACH = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 
 
 @compiled
 @no_type_check
-def strip_places(normal: np.ndarray, half_length_px: np.ndarray, lanes: int) -> tuple:
+def _strip_places(normal: np.ndarray, half_length_px: np.ndarray, lanes: int) -> tuple:
     """First place and number of places of each strip, (n,) each; number of all places."""
     n = len(normal)
     first, count = np.empty(n, np.int64), np.empty(n, np.int64)
@@ -73,14 +73,7 @@ def read_strips(
     normal: np.ndarray,
     half_length_px: np.ndarray,
     lanes: int,
-    first: np.ndarray,
-    count: np.ndarray,
-    distance: np.ndarray,
-    level: np.ndarray,
-    share: np.ndarray,
-    clipped: np.ndarray,
-    hits: np.ndarray,
-) -> None:
+) -> tuple:
     """Read the strips of all points.
 
     Parameters
@@ -91,12 +84,16 @@ def read_strips(
     size : (width, height)
     half_length_px : (n,)   half length of the strip
     lanes : 3, or 1 for one pixel a line, that nearest to the normal, with a share of 1
-    first, count : (n,)   of :func:`strip_places`
-    distance, level, share : out   from the point along its normal, px; grey value; weight, 0 in an empty place
-    clipped : out   the pixel is clipped; written only for points with ``hits``
-    hits : (n,) out   number of clipped pixels
+
+    Returns
+    -------
+    first, count, distance, level, share, clipped, hits
+        See :class:`rotaline.vision.stripe.strips.Strips`.
     """
     top = _F(limit)
+    first, count, total = _strip_places(normal, half_length_px, lanes)
+    distance, level, share = np.empty(total, _F), np.empty(total, _F), np.empty(total, _F)
+    clipped, hits = np.empty(total, np.bool_), np.empty(len(uv), np.int64)
     form, nearest = np.zeros(6 * BLOCK, _F), np.zeros(BLOCK, np.int32)
     origin, line_stride, place_stride = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
     low, high, last_place = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
@@ -127,8 +124,27 @@ def read_strips(
             form[_X + k], form[_FRACTION + k], form[_SLOPE + k] = middle - steps - at, along - base, slope
             form[_COSINE + k], form[_SINE + k] = n_at, n_along
             form[_REACH + k] = half_length_px[i] + _TIE if k < m else -1.0
+        straight = lanes == 1
+        for k in range(BLOCK):
+            straight &= inside[k] and form[_SLOPE + k] == _ZERO
+            nearest[k] = np.int32(form[_FRACTION + k] + _ROUND) - _OFFSET
         most = _ZERO
-        for line in range(lines):
+        if straight:  # along rows or columns
+            for k in range(BLOCK):
+                origin[k] += nearest[k] * place_stride[k]
+            for line in range(lines):
+                row = first[begin] + line * BLOCK
+                d, p, w = distance[row : row + BLOCK], level[row : row + BLOCK], share[row : row + BLOCK]
+                for k in range(BLOCK):
+                    d[k] = (form[_X + k] + _F(line)) * form[_COSINE + k]
+                    w[k] = _ONE if abs(d[k]) <= form[_REACH + k] else _ZERO
+                for k in range(BLOCK):
+                    q = _F(value[np.uint64(origin[k] + line * line_stride[k])])
+                    p[k] = q
+                    most = max(most, q)
+            for k in range(BLOCK):
+                origin[k] -= nearest[k] * place_stride[k]
+        for line in range(0 if straight else lines):
             row = first[begin] + line * lanes * BLOCK
             d, p, w = (
                 distance[row : row + lanes * BLOCK],
@@ -173,6 +189,7 @@ def read_strips(
                             hit = source[np.uint64(pixel)] >= limit
                         clipped[there] = hit
                         hits[begin + k] += hit
+    return first, count, distance, level, share, clipped, hits
 
 
 @compiled

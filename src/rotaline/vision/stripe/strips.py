@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from rotaline.vision.stripe.plane import Plane
-from rotaline.vision.stripe.strip_kernels import BLOCK, read_strips, strip_places
+from rotaline.vision.stripe.strip_kernels import BLOCK, read_strips
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +47,10 @@ def strips_of(
     lanes: int = 3,
 ) -> Strips:
     """Strips to ``half_length_px`` on both sides; with one lane of one pixel a line, that nearest to the normal."""
-    first, count, m = strip_places(normal, half_length_px, lanes)
-    distance, level, share = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.float32)
-    clipped, hits = np.empty(m, dtype=bool), np.empty(len(uv), dtype=np.int64)
-    read_strips(
-        plane.flat, plane.source.reshape(-1), plane.value is not plane.source, float(plane.limit), plane.size, uv, normal,
-        half_length_px, lanes, first, count, distance, level, share, clipped, hits,
+    value, source = plane.value, plane.source
+    return Strips(
+        *read_strips(
+            value.reshape(-1), source.reshape(-1), value is not source, float(plane.limit), plane.size, uv, normal,
+            half_length_px, lanes,
+        )
     )  # fmt: skip
-    return Strips(first, count, distance, level, share, clipped, hits)

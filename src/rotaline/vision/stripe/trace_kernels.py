@@ -203,6 +203,25 @@ def _straighten(uv: np.ndarray, index: np.ndarray, edges: np.ndarray, width_px: 
 
 @compiled
 @no_type_check
+def _end_tangents(uv: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Tangents at the first and last point of each chain, of the line through so many; zeros elsewhere."""
+    tangent = np.zeros_like(uv)
+    for c in range(len(starts) - 1):
+        m = min(starts[c + 1] - starts[c], _WINDOW + 1)
+        for end in range(2):
+            first = starts[c + 1] - m if end else starts[c]
+            du = dv = 0.0
+            for j in range(m):
+                du += (j - 0.5 * (m - 1)) * uv[first + j, 0]
+                dv += (j - 0.5 * (m - 1)) * uv[first + j, 1]
+            length, at = np.sqrt(du * du + dv * dv), starts[c + 1] - 1 if end else starts[c]
+            if m > 0:
+                tangent[at, 0], tangent[at, 1] = (du / length, dv / length) if length > 1e-9 else (1.0, 0.0)
+    return tangent
+
+
+@compiled
+@no_type_check
 def follow(
     uv: np.ndarray,
     starts: np.ndarray,
@@ -258,11 +277,9 @@ def follow(
     local_lines(moved, edges, 3, _FINE_PX, smooth, ahead)
     dense, edges, wide = resample(smooth, edges, width)
     if join and len(edges) > 2:
-        across = normals(dense, edges, _ROUGH_PX)
-        for i in range(len(across)):
-            across[i, 0], across[i, 1] = across[i, 1], -across[i, 0]
-        order, edges = join_chains(dense, across, edges, _JOIN_PX)
-        dense, edges, wide = resample(dense[order], edges, wide[order])
+        order, joined = join_chains(dense, _end_tangents(dense, edges), edges, _JOIN_PX)
+        if len(joined) < len(edges):
+            dense, edges, wide = resample(dense[order], joined, wide[order])
     return dense, edges, wide, normals(dense, edges, _FINE_PX)
 
 

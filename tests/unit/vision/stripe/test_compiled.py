@@ -12,7 +12,10 @@ from rotaline.vision.stripe.centre_kernels import subtract_sides, weighted_centr
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
-from rotaline.vision.stripe.judge_kernels import medians, points_together, sound_ends
+from rotaline.vision.stripe.judge_kernels import sound_ends
+from rotaline.vision.stripe.model import StripePoints
+from rotaline.vision.stripe.piece_kernels import medians, points_together
+from rotaline.vision.stripe.pieces import counting, doubtful_ends, long_enough
 from rotaline.vision.stripe.plain import centres as plain_centres
 from rotaline.vision.stripe.plain import curve as plain_curve
 from rotaline.vision.stripe.plain import ends as plain_ends
@@ -196,6 +199,30 @@ def test_short_pieces_close_together_count_as_one():
     assert points_together(uv, segment, fits, 10.0, 20.0).tolist() == [14, 14, 0, 14, 6, 23, 23]
     assert points_together(uv, segment, fits, 10.0, 5.0).tolist() == [5, 5, 0, 4, 6, 20, 3]
     assert medians(uv[:, 0].copy(), segment).tolist() == [np.median(uv[segment == k, 0]) for k in range(7)]
+
+
+@pytest.mark.parametrize("crowded", [False, True])
+def test_the_same_pieces_count(crowded):
+    """One pass over all pieces, held against the two steps it stands for."""
+    rng = np.random.default_rng(4)
+    dropped = 0
+    for _ in range(40):
+        counts = rng.integers(4, 40, rng.integers(1, 9))
+        segment = np.repeat(np.arange(len(counts)), counts)
+        n = len(segment)
+        uv = np.column_stack([np.arange(n) + rng.choice([2.0, 40.0], len(counts)).cumsum()[segment], np.zeros(n)])
+        width = rng.choice([1.0, 1.2, 4.0], len(counts))[segment] + 0.05 * rng.random(n)
+        height = rng.choice([10.0, 100.0, 120.0], len(counts))[segment] * (0.1 + 0.9 * rng.random(n))
+        points = StripePoints(
+            uv, np.tile([0.0, 1.0], (n, 1)), width, height, 0.1 * np.ones(n), np.zeros(n, dtype=bool), segment
+        )
+        expected = doubtful_ends(points if crowded else long_enough(points, 10.0))
+        got = counting(points, 10.0, crowded)
+        np.testing.assert_array_equal(got.uv, expected.uv)
+        np.testing.assert_allclose(got.u_normal_px, expected.u_normal_px, rtol=1e-12)
+        np.testing.assert_array_equal(got.segment, expected.segment)
+        dropped += n - len(got)
+    assert dropped > 100
 
 
 @pytest.mark.parametrize("n", [30, 301])
