@@ -190,8 +190,8 @@ def _centres(
 ) -> tuple[Centres, Float[np.ndarray, " n"], float, float, bool, bool]:
     """See :func:`best_centres`."""
     shift, u, measured, height, *more = best_centres(
-        trace.uv, trace.starts, trace.normal, width, noise, strips.first, strips.count, strips.distance, strips.level, strips.share,
-        ground.line[:, 2], start, window, adapt, most_held_px, best_scatter,
+        trace.uv, trace.starts, trace.normal, width, noise, strips.first, strips.count, strips.lanes, strips.distance, strips.level,
+        strips.share, ground.line[:, 2], start, window, adapt, most_held_px, best_scatter,
     )  # fmt: skip
     used, scatter, floor, better, wider = more
     return Centres(shift, u, measured, height), used, float(scatter), float(floor), bool(better), bool(wider)

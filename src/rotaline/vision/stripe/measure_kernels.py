@@ -13,7 +13,6 @@ from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_
 _DIFFER = 4.0  # noises
 _AROUND = 8  # points on both sides that tell of an edge
 _LEAST_STEPPED = 5  # so few are at a corner, where the side of a point sees what the stripe turns to
-_LANES = 3
 _WIDTH_TOLERANCE = 0.08  # a window may be off by this part
 _WIDER = 1.05  # a wider window, which minds the shape of the profile less, may cost so much scatter
 _ROUGH_PX = 0.3  # to know the width, a step that is shorter is good enough
@@ -78,6 +77,7 @@ def best_centres(
     noise: np.ndarray,
     first: np.ndarray,
     count: np.ndarray,
+    lanes: int,
     distance: np.ndarray,
     level: np.ndarray,
     share: np.ndarray,
@@ -114,7 +114,7 @@ def best_centres(
     turn = 0 if adapt else 1
     while True:
         weighted_centroids(
-            first, count, _LANES, distance, level, share, slope_variance, start, width, window,
+            first, count, lanes, distance, level, share, slope_variance, start, width, window,
             _SHORT_PX if turn else _ROUGH_PX, other_shift, other_u if turn else np.empty(0), other_measured, other_height,
         )  # fmt: skip
         for i in range(n):

@@ -13,6 +13,7 @@ from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
 from rotaline.vision.stripe.judge_kernels import sound_ends
+from rotaline.vision.stripe.measure_kernels import best_centres
 from rotaline.vision.stripe.model import StripePoints
 from rotaline.vision.stripe.piece_kernels import medians, points_together
 from rotaline.vision.stripe.pieces import counting, doubtful_ends, long_enough
@@ -87,6 +88,34 @@ def test_the_centroid_is_the_fixed_point_of_the_plain_one(sigma_px, window):
     np.testing.assert_allclose(u, expected.u_px, rtol=2e-3)
     np.testing.assert_allclose(measured, expected.width_px, rtol=2e-3)
     np.testing.assert_allclose(height, expected.height, rtol=2e-3)
+
+
+def test_grey_gravity_reads_only_its_own_strips():
+    """A wide stripe is traced and then measured on strips of one pixel a line: the same bits each time, whatever stands in memory beside them."""
+    image = render_stripe(replace(BASE, sigma_px=4.0), np.random.default_rng(2))
+    options = StripeOptions(method="gray-gravity")
+    first = extract_stripe(image, None, options)
+    assert len(first) > 50
+    for value in (np.nan, 0.0, 1e3):
+        freed = [np.full(n, value, np.float32) for n in range(500, 40000, 500)]
+        del freed
+        again = extract_stripe(image, None, options)
+        np.testing.assert_array_equal(again.uv, first.uv)
+        np.testing.assert_array_equal(again.u_normal_px, first.u_normal_px)
+
+
+@pytest.mark.parametrize("lanes", [1, 3])
+def test_rough_centres_of_strips_of_one_and_of_three_lanes(lanes):
+    scene = replace(BASE, noise=0.0, sigma_px=2.5)
+    image = render_stripe(scene, np.random.default_rng(5))
+    uv, normal = points_on(scene)
+    n = len(uv)
+    s = strips_of(Plane(image, image), uv, normal, np.full(n, 14.0), lanes)
+    shift, *_ = best_centres(
+        uv, np.array([0, n]), normal, np.full(n, 2.5), np.ones(n), s.first, s.count, s.lanes, s.distance,
+        s.level - np.float32(scene.background), s.share, np.zeros(n), np.zeros(n), 1.0, False, 0.0, np.inf,
+    )  # fmt: skip
+    assert np.abs(shift).max() < 0.1
 
 
 def test_the_sides_give_the_background():
