@@ -37,5 +37,29 @@ class WorkError(RotalineError):
     """Work was not done where it should be: worker processes or the cluster are gone, or run another program."""
 
 
+class DeviceError(RotalineError):
+    """A device does not do what it should: which device, what was found, unit, limit, what to do next."""
+
+
+class DeviceConnectionError(DeviceError):
+    """The device, or the library that drives it, is not there, is held by another program, or went away."""
+
+
+class DeviceTimeoutError(DeviceError):
+    """The device did not answer, or did not finish, in the time that it was given."""
+
+
+class DeviceStateError(DeviceError):
+    """The device cannot do this as it stands: in alarm, not homed, still moving, or not able to at all."""
+
+
+class DeviceLimitError(DeviceError):
+    """A value is outside of what the device allows; nothing was moved or set."""
+
+
+class LostFrameError(DeviceError):
+    """A frame did not arrive, or not whole. The camera works on: take it again."""
+
+
 class OutputError(RotalineError):
     """Results cannot be written: no space, no permission."""

@@ -4,16 +4,13 @@ Positions are in the nominal table frame: z up, z = 0 on the table top, the midd
 key of the file; its description ends up in the message about a wrong value and in the documentation.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, Strict
+from pydantic import Field, Strict
 
 from rotaline.geometry.primitives import KnownCylinder, KnownSphere, SteppedCylinder
+from rotaline.tables import Fraction, NotNegative, Number, Positive, Table, key
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=2)]
 Pixels = Annotated[int, Field(ge=16, le=20_000)]
 # lists are all that TOML has; tuples are what values hold
@@ -23,17 +20,6 @@ Size = Annotated[tuple[Pixels, Pixels], Strict(False)]
 Counts = Annotated[tuple[Count, Count], Strict(False)]
 Lengths = Annotated[tuple[Positive, Positive], Strict(False)]
 Shares = Annotated[tuple[Fraction, Fraction, Fraction], Strict(False)]
-
-
-class Table(BaseModel):
-    """A table of the file: unknown keys are mistakes, text is no number."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-def key(default: Any, description: str) -> Any:
-    """A key of the file; ``...`` as default: it must be given."""
-    return Field(default, description=description)
 
 
 class CameraTable(Table):
@@ -307,13 +293,23 @@ class MountTable(Table):
     tilt_towards_deg: Number = key(0.0, "the side to which it tilts, from x")
 
 
-class CaptureTable(Table):
-    """A folder of frames: what is recorded with which target or part."""
+class TurnKeys(Table):
+    """A folder of frames, its role, and the angles of the table."""
 
     folder: Annotated[str, Field(pattern=r"^[\w][\w.-]*$")] = key(..., "name of the folder")
     role: Literal["camera", "laser-plane", "axis", "artifact", "scan"] = key(
         ..., "camera, laser-plane, axis, artifact or scan"
     )
+    from_deg: Number = key(0.0, "first angle; roles axis, artifact and scan")
+    to_deg: Number | None = key(None, "last angle; absent: a full turn, for role axis from_deg + 40")
+    step_deg: Positive | None = key(None, "step of the angle; absent: 4, for role axis 2")
+    frames: Annotated[int, Field(ge=1, le=100_000)] | None = key(None, "number of equal steps, instead of step_deg")
+    shuffle: bool = key(False, "uneven steps in mixed order")
+
+
+class CaptureTable(TurnKeys):
+    """A folder of frames: what is recorded with which target or part."""
+
     target: str | None = key(None, "a name under [targets]; roles camera, laser-plane and axis")
     part: str | None = key(
         None, "a name under [parts]; roles artifact (a stepped cylinder, cylinder or sphere) and scan"
@@ -321,11 +317,6 @@ class CaptureTable(Table):
     views: Annotated[int, Field(ge=1, le=1000)] | None = key(
         None, "poses of the target, drawn so that they cover the view (camera: 20) or the sheet (laser-plane: 10)"
     )
-    from_deg: Number = key(0.0, "first angle; roles axis, artifact and scan")
-    to_deg: Number | None = key(None, "last angle; absent: a full turn, for role axis from_deg + 40")
-    step_deg: Positive | None = key(None, "step of the angle; absent: 4, for role axis 2")
-    frames: Annotated[int, Field(ge=1, le=100_000)] | None = key(None, "number of equal steps, instead of step_deg")
-    shuffle: bool = key(False, "uneven steps in mixed order")
     laser_off_frames: bool = key(False, "a laser-off frame at each angle as well, as background; artifact and scan")
     mount: MountTable = key(MountTable(), "how the part stands on the table")
     exposure_off_ms: Positive | None = key(None, "of this capture; absent: as in [light]")

@@ -29,6 +29,7 @@ from rotaline.io.rig_tables import (
     SphereTable,
     SteppedCylinderTable,
     TargetTable,
+    TurnKeys,
     TurntableTable,
 )
 from rotaline.simulation.parts.boards import Plate
@@ -354,12 +355,12 @@ def views_of(table: CaptureTable) -> int:
     return table.views or (20 if table.role == "camera" else 10)
 
 
-def step_deg_of(table: CaptureTable) -> float:
+def step_deg_of(table: TurnKeys) -> float:
     """Step of the angle, stated or not; for captures without ``frames``."""
     return table.step_deg or (2.0 if table.role == "axis" else 4.0)
 
 
-def angles_deg(table: CaptureTable, seed: int) -> tuple[float, ...]:
+def angles_deg(table: TurnKeys, seed: int) -> tuple[float, ...]:
     """The angles of a capture; the end of a full turn is its beginning and does not come twice.
 
     Examples

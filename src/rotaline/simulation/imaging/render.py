@@ -198,6 +198,46 @@ def _speckled(
     return laser * factor
 
 
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What stands where, and how it is lit, for a part of an exposure.
+
+    Attributes
+    ----------
+    parts_base : in the base frame
+    laser_power : share of the laser's full power; 0: it is off
+    ambient_e_per_ms : light of a white surface that faces the camera
+    """
+
+    parts_base: Sequence[Placed]
+    laser_power: float
+    ambient_e_per_ms: float
+
+
+def _signal_e_per_ms(
+    rig: Rig, moment: Moment, rng: np.random.Generator
+) -> Float[np.ndarray, "h w"] | Float[np.ndarray, "h w 3"]:
+    laser_on = moment.laser_power > 0
+    light = render_irradiance(rig, moment.parts_base, laser_on=laser_on, ambient_e_per_ms=moment.ambient_e_per_ms)
+    laser = _speckled(rig, moment.parts_base, light, rng) * moment.laser_power if laser_on else light.laser
+    if rig.sensor.colour:
+        return light.ambient[:, :, None] + laser[:, :, None] * np.array(rig.laser.rgb, np.float32)
+    return light.ambient + laser
+
+
+def render_exposure(
+    rig: Rig, moments: Sequence[Moment], *, exposure_ms: float, seed: int | Sequence[int]
+) -> UInt8[np.ndarray, "..."] | UInt16[np.ndarray, "..."]:
+    """One image of what changes while it is exposed: each of the moments has an equal share of the exposure, and speckle of its own.
+
+    See :func:`render_frame`, which is this with one moment.
+    """
+    rng = np.random.default_rng(seed)
+    signals = [_signal_e_per_ms(rig, moment, rng) for moment in moments]
+    signal = signals[0] if len(signals) == 1 else np.mean(signals, axis=0)
+    return expose(signal * exposure_ms, rig.sensor, rng)
+
+
 def render_frame(
     rig: Rig,
     parts_base: Sequence[Placed],
@@ -219,11 +259,5 @@ def render_frame(
     -------
     (h, w) or (h, w, 3) red, green, blue; uint8 or uint16
     """
-    rng = np.random.default_rng(seed)
-    light = render_irradiance(rig, parts_base, laser_on=laser_on, ambient_e_per_ms=ambient_e_per_ms)
-    laser = _speckled(rig, parts_base, light, rng) if laser_on else light.laser
-    if rig.sensor.colour:
-        signal = light.ambient[:, :, None] + laser[:, :, None] * np.array(rig.laser.rgb, np.float32)
-    else:
-        signal = light.ambient + laser
-    return expose(signal * exposure_ms, rig.sensor, rng)
+    moment = Moment(parts_base, float(laser_on), ambient_e_per_ms)
+    return render_exposure(rig, [moment], exposure_ms=exposure_ms, seed=seed)

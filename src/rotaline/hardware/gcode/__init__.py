@@ -1,0 +1,1 @@
+"""Controllers of machines that take G-code over a serial port: GRBL, grblHAL, Marlin."""

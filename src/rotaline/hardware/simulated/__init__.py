@@ -1,0 +1,1 @@
+"""The simulated rig: one world that the simulated camera, turntable and laser share."""
