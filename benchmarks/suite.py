@@ -2,7 +2,19 @@
 
 import cv2
 
-from benchmarks import features, joint, memory, per_frame, points, renderer, resolution, session, surface, targets
+from benchmarks import (
+    acquisition,
+    features,
+    joint,
+    memory,
+    per_frame,
+    points,
+    renderer,
+    resolution,
+    session,
+    surface,
+    targets,
+)
 from benchmarks.harness import Benchmark, Measurement, Setting
 
 
@@ -100,4 +112,5 @@ SUITE = (
     Benchmark("features", "measured features of ideal solids", _features),
     Benchmark("targets", "detection of targets, beside OpenCV", _targets),
     Benchmark("renderer", "rendering", _renderer),
+    Benchmark("acquisition", "streaming to disk, and a scan step by step", acquisition.measure),
 )

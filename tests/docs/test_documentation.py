@@ -15,6 +15,7 @@ from rotaline.pipeline.options import option_entries
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 COMMANDS = {command.name or command.callback.__name__ for command in app.registered_commands}
+COMMANDS |= {group.name for group in app.registered_groups}
 STAGES = {entry.stage for entry in option_entries()}
 OPTIONS = {f"{entry.stage}.{entry.name}" for entry in option_entries()}
 

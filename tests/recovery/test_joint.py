@@ -279,6 +279,41 @@ def test_errors_of_the_table_from_frame_to_frame(parts):
     assert (found.table.sigma[2:] < [2e-3, 1e-4]).all()  # it neither lifts nor wobbles
 
 
+def _with_uncertain_angles(observations, sigma_deg, stated):
+    """The angles of mount m2 with noise; with what is stated of all angles."""
+    rng = np.random.default_rng(12)
+    least, sigma = np.radians([1e-4, sigma_deg])
+    mounts = []
+    for m in observations.mounts:
+        poor = m.name == "m2"
+        angles = m.angles_rad + poor * sigma * rng.standard_normal(len(m.angles_rad))
+        u = np.full(len(angles), sigma if poor else least)
+        mounts.append(replace(m, angles_rad=angles, u_angles_rad=u if stated else None))
+    table = tuple(replace(v, u_angle_rad=least if stated else 0.0) for v in observations.table_views)
+    return replace(observations, mounts=tuple(mounts), table_views=table)
+
+
+def test_angles_that_are_stated_to_be_less_certain(parts):
+    """The noise of one capture's angles costs the others nothing: the axis stays where it is without that noise."""
+    observations = observe(put_together(parts), seed=3)
+    exact = estimate(observations)
+    stated, unknown = (estimate(_with_uncertain_angles(observations, 0.1, stated=s)) for s in (True, False))
+    assert_true(stated)
+    assert stated.table.sigma[0] == pytest.approx(exact.table.sigma[0], rel=0.1)
+    moved = {f: [abs(errors(f)[n] - errors(exact)[n]) for n in errors(exact)] for f in (stated, unknown)}
+    assert max(moved[stated]) < 0.05
+    assert max(moved[unknown]) > 3.0 * max(moved[stated])
+
+
+def test_angles_that_are_stated_alike_change_nothing(clean):
+    observations, found = clean
+    u = np.radians(0.02)
+    mounts = tuple(replace(m, u_angles_rad=np.full(len(m.angles_rad), u)) for m in observations.mounts)
+    table = tuple(replace(v, u_angle_rad=u) for v in observations.table_views)
+    other = estimate(replace(observations, mounts=mounts, table_views=table))
+    assert (other.covariance.matrix == found.covariance.matrix).all()
+
+
 def test_a_bowed_sheet(parts):
     """The ends of the fan, 137 mm to both sides at the waist, sag by 0.15 mm."""
     rig = replace(RIG, laser=replace(RIG.laser, bow_mm=0.15))

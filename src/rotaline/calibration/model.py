@@ -18,11 +18,15 @@ from rotaline.vision.targets.model import Target, TargetDetection
 
 @dataclass(frozen=True, eq=False)
 class TargetView:
-    """A target detected in one image of the session; ``name`` is ``folder/image``."""
+    """A target detected in one image of the session; ``name`` is ``folder/image``.
+
+    ``angle_rad`` is that of the turntable, where it plays a part; ``u_angle_rad`` its standard uncertainty, 0 where none is stated.
+    """
 
     name: str
     detection: TargetDetection
     angle_rad: float | None = None
+    u_angle_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

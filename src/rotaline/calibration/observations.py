@@ -22,6 +22,7 @@ class MountObservation:
     frame_names : (f,)
     angles_rad : (f,)   of the turntable, as read
     stripes : (f,)   empty where nothing was seen
+    u_angles_rad : (f,)   standard uncertainties of the angles, 0 where none is stated; None: of none
     """
 
     name: str
@@ -29,6 +30,7 @@ class MountObservation:
     frame_names: tuple[str, ...]
     angles_rad: Float[np.ndarray, " f"]
     stripes: tuple[StripePoints, ...]
+    u_angles_rad: Float[np.ndarray, " f"] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """The command ``rotaline``.
 
 Exit codes: 0 everything asked for was done; 1 a part of it could not be done, the rest was written; 2 wrong use or bad input
-(session, options, calibration file, rig); 3 the data do not allow the calibration; 4 results cannot be written; 130 interrupted.
+(session, options, calibration file, rig); 3 the data do not allow the calibration; 4 results cannot be written; 5 a device does not do what it should; 130 interrupted.
 """
 
 import logging
@@ -11,11 +11,12 @@ from pathlib import Path
 
 import typer
 
-from rotaline.cli import commands, compare, diagnose, options_help, pack, reproduce, simulate, verify  # noqa: F401  (the commands register themselves)
-from rotaline.cli.base import BAD_INPUT, INCOMPLETE, INTERRUPTED, NOT_POSSIBLE, NOT_WRITTEN, OK, app
+from rotaline.cli import acquire, commands, compare, devices, diagnose, options_help, pack, reproduce, simulate, verify  # noqa: F401  (the commands register themselves)
+from rotaline.cli.base import BAD_INPUT, INCOMPLETE, INTERRUPTED, NO_DEVICE, NOT_POSSIBLE, NOT_WRITTEN, OK, app
 from rotaline.errors import (
     CalibrationError,
     DetectionError,
+    DeviceError,
     GeometryError,
     MeasurementError,
     OutputError,
@@ -47,6 +48,8 @@ def main(argv: list[str] | None = None) -> int:
         return _fail(str(error), BAD_INPUT)
     except (CalibrationError, DetectionError, GeometryError, MeasurementError) as error:
         return _fail(str(error), NOT_POSSIBLE)
+    except DeviceError as error:
+        return _fail(str(error), NO_DEVICE)
     except RotalineError as error:
         return _fail(str(error), INCOMPLETE)
     except OSError as error:

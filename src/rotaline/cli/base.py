@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-OK, INCOMPLETE, BAD_INPUT, NOT_POSSIBLE, NOT_WRITTEN, INTERRUPTED = 0, 1, 2, 3, 4, 130
+OK, INCOMPLETE, BAD_INPUT, NOT_POSSIBLE, NOT_WRITTEN, NO_DEVICE, INTERRUPTED = 0, 1, 2, 3, 4, 5, 130
 
 EXIT_CODES = """\b
 Exit codes:
@@ -14,6 +14,7 @@ Exit codes:
   2    wrong use or bad input: session, options, calibration file, rig
   3    the data do not allow the calibration; the message says what to add
   4    results cannot be written: no space, no permission
+  5    a device is not there, or does not do what it should; frames that were taken are kept
   130  interrupted; the same command goes on where it stopped
 """
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from rotaline.errors import RigError
 from rotaline.io.rig_tables import CaptureTable, MeasurementTable, MountTable, PartTable, RigTables, TargetTable
 from rotaline.io.rig_values import plan_of, rig_of, step_deg_of, views_of
-from rotaline.io.toml_file import Place, where
+from rotaline.io.toml_file import Place, text_of, where
 from rotaline.simulation.plan import SessionPlan
 from rotaline.simulation.rig import Rig
 
@@ -103,15 +103,7 @@ def read_rig_file(path: Path) -> RigFile:
     RigError
         With all that is wrong: file, line, field; found, expected.
     """
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise RigError(
-            f"{path}: the rig file cannot be read ({error.strerror}). "
-            "`rotaline simulate --preset article --toml` prints one to begin with."
-        ) from error
-    except UnicodeDecodeError as error:
-        raise RigError(f"{path}: the file is not UTF-8 text (byte {error.start}). Save it as UTF-8.") from error
+    text = text_of(path, "rig file", "`rotaline simulate --preset article --toml` prints one to begin with.")
     return replace(parse_rig(text, str(path)), folder=path.parent)
 
 

@@ -2,19 +2,24 @@
 
 :func:`inspect_session` reads a folder or a packed session and lists everything that is wrong with it; :func:`read_session` raises on errors.
 Angles are in rad from here on, lengths in mm. Nothing is ever written into a session.
+
+A folder ``reference`` that is no capture holds frames by which an acquisition watches the drift of the rig; ``pose`` names the capture that
+each belongs to.
 """
 
 import csv
 import math
 import os
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import PurePath
 from typing import Any
 
 from rotaline.calibration.speckle_limit import LaserOptics
 from rotaline.errors import SessionError
 from rotaline.geometry.primitives import Artifact
+from rotaline.io.acquired_session import REFERENCE
 from rotaline.io.frame_images import ImageSource
 from rotaline.io.locations import locate
 from rotaline.io.session_access import FRAMES_FILE, SessionFiles, open_session_files
@@ -43,13 +48,18 @@ class Problem:
 
 @dataclass(frozen=True)
 class Frame:
-    """One row of ``frames.csv``; ``angle_rad`` and ``pose`` are None where they are empty."""
+    """One row of ``frames.csv``; what is empty or not stated is None.
+
+    ``u_angle_rad`` is the standard uncertainty of the angle, ``time_s`` when the frame was taken, counted from 1970.
+    """
 
     source: ImageSource
     name: str
     angle_rad: float | None
     laser_on: bool
     pose: str | None
+    u_angle_rad: float | None = None
+    time_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -86,7 +96,8 @@ class Capture:
 class Session:
     """A session as read; ``path`` as given: a folder, a packed session, or the address of one.
 
-    ``image_size`` is (width, height) of all its frames; ``optics`` is None where they are not stated.
+    ``image_size`` is (width, height) of all its frames; ``optics`` is None where they are not stated. ``references`` watch the drift; their
+    ``pose`` is the folder of the capture that they belong to.
     """
 
     path: str | os.PathLike[str]
@@ -96,6 +107,7 @@ class Session:
     image_size: tuple[int, int]
     problems: tuple[Problem, ...] = field(default=())
     optics: LaserOptics | None = None
+    references: tuple[Frame, ...] = ()
 
     @property
     def name(self) -> str:
@@ -138,8 +150,9 @@ def inspect_session(path: str | os.PathLike[str]) -> tuple[Session | None, tuple
         return None, tuple(problems)
     size = Counter(sizes.values()).most_common(1)[0][0]
     measurements = tuple(m for m in content.measurements if m.capture in {c.folder for c in captures})
+    references = _read_references(files, content, size, problems)
     found = tuple(problems)
-    return Session(path, content.targets, tuple(captures), measurements, size, found, content.optics), found
+    return Session(path, content.targets, tuple(captures), measurements, size, found, content.optics, references), found
 
 
 def read_session(path: str | os.PathLike[str]) -> Session:
@@ -168,6 +181,30 @@ def _read_captures(
         target = content.targets.get(request.target) if request.target else None
         captures.append(Capture(request.folder, request.role, request.target or "", target, folders[request.folder]))
     return captures, sizes
+
+
+def _read_references(
+    files: SessionFiles, content: SessionFile, size: tuple[int, int], problems: list[Problem]
+) -> tuple[Frame, ...]:
+    """The frames that watch the drift; whatever is wrong with them, the session can be processed."""
+    if any(c.folder == REFERENCE for c in content.captures) or not files.has_folder(REFERENCE):
+        return ()
+    try:
+        files.frames_file(REFERENCE)
+    except OSError:
+        return ()  # a folder of that name that has nothing to do with this
+    found: list[Problem] = []
+    sizes: dict[str, tuple[int, int]] = {}
+    frames = _read_frames(files, REFERENCE, sizes, found)
+    fitting = tuple(f for f in frames if f.pose and sizes[f"{files.label}/{f.name}"] == size)
+    if len(fitting) < len(frames):
+        text = (
+            f"{len(frames) - len(fitting)} frame(s) without the capture that they belong to in column pose, or not of {size[0]} x {size[1]} "
+            "pixels: left out."
+        )
+        found.append(Problem(f"{files.label}/{REFERENCE}/{FRAMES_FILE}", text))
+    problems += [replace(problem, fatal=False) for problem in found]
+    return fitting
 
 
 def _read_frames(
@@ -239,6 +276,11 @@ def _read_row(
         problems.append(Problem(f"{where}, laser", f"found '{values['laser']}', expected 'on' or 'off'."))
     if len(problems) > before:
         return None
+    u_angle = _number_or_none(row.get("u_angle_deg"))
+    if u_angle is not None and not (math.isfinite(u_angle) and u_angle >= 0.0):
+        text = f"found '{row['u_angle_deg']}', expected a standard uncertainty in degrees, or nothing. It is not used."
+        problems.append(Problem(f"{where}, u_angle_deg", text, fatal=False))
+        u_angle = None
     path = f"{files.label}/{folder}/{image}"
     try:
         source, sizes[path] = files.image(folder, image)
@@ -246,7 +288,34 @@ def _read_row(
         text = str(error).removeprefix(f"{path}: ")
         problems.append(Problem(f"{where}, {path}", f"{text} The frame is left out.", fatal=False))
         return None
-    return Frame(source, f"{folder}/{image}", angle, values["laser"] == "on", values["pose"] or None)
+    return Frame(
+        source,
+        f"{folder}/{image}",
+        angle,
+        values["laser"] == "on",
+        values["pose"] or None,
+        None if u_angle is None else math.radians(u_angle),
+        _time_s(row.get("time")),
+    )
+
+
+def _number_or_none(text: str | None) -> float | None:
+    """A number; NaN where it is none; None for nothing."""
+    if not (text or "").strip():
+        return None
+    try:
+        return float(text or "")
+    except ValueError:
+        return math.nan
+
+
+def _time_s(text: str | None) -> float | None:
+    """Seconds since 1970 of a moment as ``2026-01-31T12:00:00.000Z``, UTC unless it says otherwise; None for anything else."""
+    try:
+        moment = datetime.fromisoformat((text or "").strip())
+    except ValueError:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def _size_problems(sizes: dict[str, tuple[int, int]]) -> list[Problem]:

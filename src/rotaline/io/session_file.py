@@ -86,7 +86,7 @@ class _SphereTable(_Table):
 
 
 _KINDS = ("checkerboard", "dots", "charuco", "stepped-cylinder", "cylinder", "sphere")
-_TargetTable = Annotated[
+TargetTable = Annotated[
     _CheckerboardTable | _DotsTable | _CharucoTable | _SteppedCylinderTable | _CylinderTable | _SphereTable,
     Field(discriminator="kind"),
 ]
@@ -127,7 +127,7 @@ class _OpticsTable(_Table):
 
 class _File(_Table):
     version: Literal[1]
-    targets: dict[str, _TargetTable] = Field(default_factory=dict)
+    targets: dict[str, TargetTable] = Field(default_factory=dict)
     captures: list[CaptureRequest] = Field(default_factory=list)
     measurements: list[MeasurementRequest] = Field(default_factory=list)
     optics: _OpticsTable | None = None

@@ -1,8 +1,17 @@
-"""Where something stands in a TOML file: file, line and field for messages."""
+"""TOML files that people write: checked with file, line and field in the messages; and written."""
 
+import json
 import re
+import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from rotaline.errors import RigError
+
+M = TypeVar("M", bound=BaseModel)
 
 Place = tuple[str | int, ...]
 """Keys and indices that lead to a value, e.g. ``("captures", 2, "mount", "tilt_deg")``."""
@@ -61,3 +70,115 @@ def _with_indices(keys: Place, counts: dict[Place, int]) -> Place:
         if name in counts and i < len(keys) - 1:
             name = (*name, counts[name])
     return name
+
+
+def text_of(path: Path, what: str, begin: str) -> str:
+    """The text of a file that a person writes; ``what`` names its kind, ``begin`` says how to get one.
+
+    Raises
+    ------
+    RigError
+        If it cannot be read, or is no UTF-8.
+    """
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise RigError(f"{path}: the {what} cannot be read ({error.strerror}). {begin}") from error
+    except UnicodeDecodeError as error:
+        raise RigError(f"{path}: the file is not UTF-8 text (byte {error.start}). Save it as UTF-8.") from error
+
+
+def toml_of(path: Path | str, text: str) -> dict[str, Any]:
+    """The content of a TOML document.
+
+    Raises
+    ------
+    RigError
+        With file and line, if it is no TOML.
+    """
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        at = re.search(r"at line (\d+)", str(error))
+        raise RigError(f"{path}{f', line {at[1]}' if at else ''}: this is not valid TOML: {error}.") from error
+
+
+def checked(model: type[M], data: Any, source: Path | str, text: str, place: Place = ()) -> M:
+    """A table of a document, checked; ``place``: where it stands.
+
+    Raises
+    ------
+    RigError
+        With all that is wrong: file, line, field; found, expected.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        found = error.errors()
+        lines = [_explain(model, source, text, place, dict(entry)) for entry in found if not _follows(entry, found)]
+        raise RigError("\n".join(dict.fromkeys(lines))) from error
+
+
+def _follows(entry: Any, found: Sequence[Any]) -> bool:
+    """Whether a list counts as too short only because what is in it is wrong."""
+    loc = entry["loc"]
+    return entry["type"] == "too_short" and any(len(e["loc"]) > len(loc) and e["loc"][: len(loc)] == loc for e in found)
+
+
+def _explain(model: type[BaseModel], source: Path | str, text: str, place: Place, error: dict[str, Any]) -> str:
+    kind, found, context, loc = error["type"], error.get("input"), error.get("ctx", {}), tuple(error["loc"])
+    at = (*place, *(part for part in loc if not (isinstance(part, str) and re.search(r"[\[(]|^constrained-", part))))
+    if kind == "missing":
+        return f"{where(source, text, at[:-1], at[-1])}: it is missing; expected a value."
+    if kind == "extra_forbidden":
+        inner = _model_at(model, loc[:-1])
+        known = "" if inner is None else f"; expected one of {', '.join(inner.model_fields)}"
+        return f"{where(source, text, at)}: there is no such key{known}."
+    if kind == "literal_error":
+        expected = str(context["expected"]).replace("'", "")
+        return f"{where(source, text, at)}: found {found!r}, expected {expected}."
+    message = str(error["msg"])
+    return f"{where(source, text, at)}: found {found!r}; {message[:1].lower()}{message[1:]}."
+
+
+def _model_at(model: Any, loc: Place) -> type[BaseModel] | None:
+    """The table that stands at a place of another one; None: it is one of several, or no table."""
+    for part in loc:
+        if isinstance(part, str):
+            fields = getattr(model, "model_fields", {})
+            if part in fields:
+                model = fields[part].annotation
+        while not hasattr(model, "model_fields"):
+            inner = [t for t in get_args(model) if get_args(t) or hasattr(t, "model_fields")]
+            if len(inner) != 1:
+                return None
+            (model,) = inner
+    return model
+
+
+def toml_text(data: Mapping[str, Any], name: str = "") -> str:
+    """A document of tables, arrays of tables, strings, numbers and lists of them; what is None is left out.
+
+    Examples
+    --------
+    >>> print(toml_text({"version": 1, "captures": [{"folder": "ball"}]}))
+    version = 1
+    <BLANKLINE>
+    [[captures]]
+    folder = "ball"
+    <BLANKLINE>
+    """
+    lines, tables = [], []
+    for entry, value in data.items():
+        full = f"{name}.{entry}" if name else entry
+        if value is None:
+            continue
+        if isinstance(value, Mapping):
+            tables.append(f"[{full}]\n{toml_text(value, full)}")
+        elif isinstance(value, list | tuple) and value and all(isinstance(v, Mapping) for v in value):
+            tables += [f"[[{full}]]\n{toml_text(v, full)}" for v in value]
+        else:
+            lines.append(
+                f"{entry} = {json.dumps(value)}"
+            )  # strings, numbers and lists are written alike in JSON and TOML
+    return "\n".join([*lines, "", *tables]) if lines or tables else ""

@@ -52,7 +52,9 @@ class CaptureRanges:
         self._observer = observer
         self._name = f"stripes-{capture.folder}"
         self.key = key_of(
-            sources_key(f.source for f in capture.frames), options.stripe, [f.angle_rad for f in capture.frames]
+            sources_key(f.source for f in capture.frames),
+            options.stripe,
+            [(f.angle_rad, f.u_angle_rad) for f in capture.frames],
         )
         self._pieces = store.pieces(self._name, self.key)
         self._counts: dict[int, Int[np.ndarray, " f"]] = {}

@@ -1,7 +1,7 @@
 """What is found in frames: targets, which are detected side by side, and the stripes of a row of frames as one value."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import TypeVar
 
@@ -41,6 +41,7 @@ class DetectedFrame:
     laser_on: bool
     detection: TargetDetection | None
     failure: str
+    u_angle_rad: float = 0.0
 
 
 def detect_frames(
@@ -53,14 +54,18 @@ def detect_frames(
             detection, failure = detect_target(read_source(frame.source), target, options), ""
         except DetectionError as error:
             detection, failure = None, str(error)
-        return DetectedFrame(frame.name, frame.angle_rad, frame.pose, frame.laser_on, detection, failure)
+        u_angle = frame.u_angle_rad or 0.0
+        return DetectedFrame(frame.name, frame.angle_rad, frame.pose, frame.laser_on, detection, failure, u_angle)
 
     return tuple(work_side_by_side(detect, frames, observer, label))
 
 
 @dataclass(frozen=True, eq=False)
 class CaptureStripes:
-    """The stripes of frames of a capture, one after another; ``frame`` says which frame a point belongs to, counted from the first of them."""
+    """The stripes of frames of a capture, one after another; ``frame`` says which frame a point belongs to, counted from the first of them.
+
+    ``u_angles_rad`` are standard uncertainties of the angles, 0 where none is stated.
+    """
 
     frame_names: tuple[str, ...]
     angles_rad: Float[np.ndarray, " f"]
@@ -73,6 +78,7 @@ class CaptureStripes:
     u_normal_px: Float[np.ndarray, " n"]
     saturated: Bool[np.ndarray, " n"]
     segment: Int[np.ndarray, " n"]
+    u_angles_rad: Float[np.ndarray, " f"]
 
     def stripes(self) -> tuple[StripePoints, ...]:
         """The stripe of each frame; empty where there is none."""
@@ -97,10 +103,10 @@ class CaptureStripes:
     def select(self, keep: Bool[np.ndarray, " n"]) -> "CaptureStripes":
         """The same frames with the points for which ``keep`` is true."""
         columns = {name: getattr(self, name)[keep] for name in _COLUMNS}
-        return CaptureStripes(self.frame_names, self.angles_rad, self.poses, **columns)
+        return replace(self, **columns)
 
 
-_COLUMNS = tuple(f.name for f in fields(CaptureStripes))[3:]
+_COLUMNS = tuple(f.name for f in fields(CaptureStripes))[3:-1]
 
 
 def pack_stripes(frames: Sequence[Frame], stripes: Sequence[StripePoints]) -> CaptureStripes:
@@ -118,6 +124,7 @@ def pack_stripes(frames: Sequence[Frame], stripes: Sequence[StripePoints]) -> Ca
         u_normal_px=np.concatenate([s.u_normal_px for s in stripes]).astype(small),
         saturated=np.concatenate([s.saturated for s in stripes]),
         segment=np.concatenate([s.segment for s in stripes]).astype(np.int32),
+        u_angles_rad=np.array([f.u_angle_rad or 0.0 for f in frames]),
     )
 
 
@@ -130,5 +137,6 @@ def join_stripes(parts: Sequence[CaptureStripes]) -> CaptureStripes:
         angles_rad=np.concatenate([part.angles_rad for part in parts]),
         poses=tuple(pose for part in parts for pose in part.poses),
         frame=np.concatenate([part.frame + np.int32(n) for part, n in zip(parts, first[:-1], strict=True)]),
+        u_angles_rad=np.concatenate([part.u_angles_rad for part in parts]),
         **columns,
     )

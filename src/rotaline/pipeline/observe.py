@@ -89,7 +89,7 @@ class SessionSource:
         ordered = order_sequence([d.detection for d in detected], angles)
         self._runner.keys["table_views"] = key
         return tuple(
-            TargetView(d.name, detection, d.angle_rad)
+            TargetView(d.name, detection, d.angle_rad, d.u_angle_rad)
             for d, detection in zip(detected, ordered, strict=True)
             if detection is not None
         )
@@ -106,7 +106,14 @@ class SessionSource:
             self._runner.keys[f"mounts/{capture.folder}"] = key_of(key, artifact)
             keys.append(self._runner.keys[f"mounts/{capture.folder}"])
             mounts.append(
-                MountObservation(capture.folder, artifact, stripes.frame_names, stripes.angles_rad, stripes.stripes())
+                MountObservation(
+                    capture.folder,
+                    artifact,
+                    stripes.frame_names,
+                    stripes.angles_rad,
+                    stripes.stripes(),
+                    stripes.u_angles_rad,
+                )
             )
         self._runner.keys["mounts"] = key_of(keys)
         return tuple(mounts)
@@ -120,7 +127,8 @@ class SessionSource:
         if capture.role == "laser-plane":
             posed = {f.pose for f in frames}
             frames = frames + tuple(f for f in capture.on_frames if f.pose is None or f.pose not in posed)
-        key = key_of(sources_key(f.source for f in frames), target, self._options.targets)
+        listed = [(f.angle_rad, f.u_angle_rad, f.pose, f.laser_on) for f in frames]
+        key = key_of(sources_key(f.source for f in frames), listed, target, self._options.targets)
         kind = "off" if len(frames) == len(capture.off_frames) else "all"
         detected = self._store.get(
             f"detect-{capture.folder}-{capture.target_name}-{kind}",

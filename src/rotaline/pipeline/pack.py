@@ -12,6 +12,7 @@ from pathlib import Path, PurePath
 from uuid import uuid4
 
 from rotaline.errors import OutputError, SessionError
+from rotaline.io.acquired_session import REFERENCE
 from rotaline.io.files import make_folder, output_error
 from rotaline.io.frame_images import read_source
 from rotaline.io.locations import PACKED_SUFFIX, locate
@@ -154,8 +155,11 @@ def _reason(message: str, image: str) -> str:
 
 
 def _frames_by_folder(session: Session) -> dict[str, tuple[Frame, ...]]:
-    """The frames of each folder, each image once."""
-    return {c.folder: tuple({f.name: f for f in c.frames}.values()) for c in session.captures}
+    """The frames of each folder, each image once; also of the folder of reference frames."""
+    folders = {c.folder: c.frames for c in session.captures}
+    if session.references:
+        folders[REFERENCE] = session.references
+    return {folder: tuple({f.name: f for f in frames}.values()) for folder, frames in folders.items()}
 
 
 def _unreadable(files: SessionFiles, folder: str, table: str, frames: Sequence[Frame]) -> dict[str, str]:

@@ -31,7 +31,7 @@ MAX_RELATIVE_ERROR = 0.02
 
 def make_cloud(stripes: CaptureStripes, system: SystemCalibration, options: ScanOptions) -> PointCloud:
     """The cloud of a capture in the table frame."""
-    cloud = scan_points(stripes.stripes(), stripes.angles_rad, system)
+    cloud = scan_points(stripes.stripes(), stripes.angles_rad, system, u_angles_rad=stripes.u_angles_rad)
     return cloud if options.max_u_mm is None else cloud.select(cloud.u_mm <= options.max_u_mm)
 
 

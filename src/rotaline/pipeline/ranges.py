@@ -113,7 +113,7 @@ def range_cloud(
     stripes: CaptureStripes, first_frame: int, system: SystemCalibration, max_u_mm: float | None
 ) -> PointCloud:
     """The points of the frames of a range, numbered as in their capture."""
-    cloud = scan_points(stripes.stripes(), stripes.angles_rad, system, first_frame)
+    cloud = scan_points(stripes.stripes(), stripes.angles_rad, system, first_frame, stripes.u_angles_rad)
     return cloud if max_u_mm is None else cloud.select(cloud.u_mm <= max_u_mm)
 
 

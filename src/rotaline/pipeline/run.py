@@ -10,10 +10,11 @@ from rotaline.calibration.verdict.model import Verdict
 from rotaline.errors import SessionError
 from rotaline.io.calibration_file import CalibrationFile, write_calibration
 from rotaline.io.clouds import write_mesh
+from rotaline.io.drift_file import CaptureDrift
 from rotaline.io.files import write_json
 from rotaline.io.locations import locate
 from rotaline.io.records import read_record, write_record
-from rotaline.io.report.contents import STAGES, CloudSummary, ReportContents, StageWarning, SurfaceSummary
+from rotaline.io.report.contents import STAGES, ReportContents, StageWarning, SurfaceSummary
 from rotaline.io.report.write import write_report
 from rotaline.io.results import MeasurementEntry
 from rotaline.io.session import Capture, Session
@@ -21,6 +22,7 @@ from rotaline.io.session_file import MeasurementRequest
 from rotaline.io.verdict_file import VERDICT_FILE, write_verdict
 from rotaline.pipeline.calibrate import CalibrationParts, calibrate_session
 from rotaline.pipeline.capture_ranges import CaptureRanges, ranges_of
+from rotaline.pipeline.drift import find_drift, keep_drift
 from rotaline.pipeline.judge import judge_measured, judge_parts
 from rotaline.pipeline.measure import measure_captures
 from rotaline.pipeline.observer import Observer
@@ -34,7 +36,7 @@ from rotaline.pipeline.parts import (
 from rotaline.pipeline.quality import quality_figures
 from rotaline.pipeline.scan import KEPT_CLOUDS, Clouds, ScannedCapture, scan_capture
 from rotaline.pipeline.store import StageStore, check_writable
-from rotaline.pipeline.summary import fitted_points, frame_overlays, report_contents, thinned
+from rotaline.pipeline.summary import cloud_summary, fitted_points, frame_overlays, report_contents
 from rotaline.pipeline.surfaces import stored_surface
 from rotaline.pipeline.workers import Workers
 from rotaline.scanning.cloud import PointCloud
@@ -105,6 +107,7 @@ class Run:
         self._entries: tuple[MeasurementEntry, ...] = ()
         self._initial_entries: tuple[MeasurementEntry, ...] = ()
         self._verdict: Verdict | None = None
+        self._drift: tuple[CaptureDrift, ...] = ()
         for problem in session.problems:
             self._warn("session", str(problem), serious=True)
 
@@ -237,10 +240,19 @@ class Run:
             write_calibration(self._folder / "calibration.json", calibration)
             self._keep_verdict(None)
         clouds = self.scan(calibration)
+        self.drift(calibration)
         entries, initial_entries = self.measure(clouds, calibration)
         surfaces = self.surfaces(clouds, calibration)
         self.report(parts, calibration, clouds, entries, initial_entries, surfaces)
         return self.result(calibration)
+
+    def drift(self, calibration: CalibrationFile) -> None:
+        """Whether the rig stood still, where reference frames were taken; writes ``drift.json``."""
+        system, options = calibration.system(), self._options.stripe
+        self._drift = find_drift(self._session, system, options, self._store, self._observer)
+        for text in (text for capture in self._drift for text in capture.warnings):
+            self._warn("drift", text)
+        keep_drift(self._folder, self._drift)
 
     def report(
         self,
@@ -254,7 +266,7 @@ class Run:
         """Write ``report.html``, and what it was made from."""
         self._observer.stage("Report", stored=False)
         with self._store.timed("Report"):
-            summaries = tuple(_cloud_summary(scanned, clouds) for scanned in clouds.scanned.values())
+            summaries = tuple(cloud_summary(scanned, clouds) for scanned in clouds.scanned.values())
             contents = report_contents(
                 self._session,
                 self._options,
@@ -269,6 +281,7 @@ class Run:
                 fitted_points(entries, clouds),
                 frame_overlays(self._session, self._store, self._options, self._observer),
                 self._verdict if self._options.calibration.method == "joint" else None,
+                self._drift,
             )
             write_record(self._folder / "stages" / REPORT_RECORD, contents, compressed=True)
             write_report(contents, self._folder / "report.html")
@@ -360,11 +373,6 @@ class Run:
             if system.table_seen:
                 break
         return system
-
-
-def _cloud_summary(scanned: ScannedCapture, clouds: Clouds) -> CloudSummary:
-    drawn = thinned(clouds[scanned.folder])
-    return CloudSummary(scanned.folder, drawn, scanned.n_points, scanned.n_frames, scanned.n_frames_without_points)
 
 
 def rewrite_report(folder: Path) -> Path:

@@ -36,6 +36,11 @@ def planned_stages(session: Session) -> tuple[PlannedStage, ...]:
         _mounts(artifact): plane and turned and bool(artifact),
     }
     together = [name for name, there in parts.items() if there]
+    drift: tuple[PlannedStage, ...] = ()
+    if session.references:
+        n_captures = len({f.pose for f in session.references})
+        text = f"{len(session.references)} reference frames of {n_captures} capture{'s' if n_captures > 1 else ''}"
+        drift = (PlannedStage("drift", True, text),)
     return (
         PlannedStage(
             "camera", calibrated, f"{n_views} views of a target" + ("" if calibrated else "; at least 3 are needed")
@@ -66,6 +71,7 @@ def planned_stages(session: Session) -> tuple[PlannedStage, ...]:
             plane and turned and bool(scans or artifact),
             ", ".join(c.folder for c in scans) or "no capture with role 'scan'",
         ),
+        *drift,
         PlannedStage("measurement", bool(session.measurements or artifact), _features(session)),
     )
 

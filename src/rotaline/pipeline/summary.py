@@ -13,6 +13,7 @@ from rotaline.calibration.model import SystemCalibration
 from rotaline.calibration.speckle_limit import speckle_limit_at_axis
 from rotaline.calibration.verdict.model import Verdict
 from rotaline.geometry.primitives import Artifact, KnownCylinder, KnownSphere, SteppedCylinder
+from rotaline.io.drift_file import CaptureDrift
 from rotaline.io.frame_images import read_source
 from rotaline.io.report.contents import (
     CaptureSummary,
@@ -30,6 +31,7 @@ from rotaline.pipeline.calibrate import CalibrationParts
 from rotaline.pipeline.capture_ranges import ranges_of
 from rotaline.pipeline.observer import Observer
 from rotaline.pipeline.options import Options
+from rotaline.pipeline.scan import ScannedCapture
 from rotaline.pipeline.store import StageStore
 from rotaline.scanning.cloud import PointCloud
 from rotaline.vision.images import small_picture
@@ -44,6 +46,12 @@ def thinned(cloud: PointCloud) -> PointCloud:
     """Every n-th point, so that no more than ``MAX_DRAWN`` remain."""
     step = -(-len(cloud) // MAX_DRAWN)
     return cloud if step <= 1 else cloud.select(np.arange(len(cloud)) % step == 0)
+
+
+def cloud_summary(scanned: ScannedCapture, clouds: Mapping[str, PointCloud]) -> CloudSummary:
+    """A scan with the points that are drawn of it."""
+    drawn = thinned(clouds[scanned.folder])
+    return CloudSummary(scanned.folder, drawn, scanned.n_points, scanned.n_frames, scanned.n_frames_without_points)
 
 
 def fitted_points(entries: Sequence[MeasurementEntry], clouds: Mapping[str, PointCloud]) -> tuple[FittedPoints, ...]:
@@ -134,6 +142,7 @@ def report_contents(
     fitted: tuple[FittedPoints, ...],
     overlays: tuple[FrameOverlay, ...],
     verdict: Verdict | None,
+    drift: tuple[CaptureDrift, ...] = (),
 ) -> ReportContents:
     """Everything that the report shows."""
     return ReportContents(
@@ -171,6 +180,7 @@ def report_contents(
         joint=parts.joint if parts else None,
         verdict=verdict,
         speckle_limit=speckle_limit_at_axis(session.optics, system) if session.optics and system else None,
+        drift=drift,
     )
 
 

@@ -19,7 +19,8 @@ class PointCloud:
     intensity : (n,)   grey values
     angle_rad : (n,)   how far the table had turned, right-handed about z (sense and error of the read-out are applied)
     frame : (n,)   index of the frame in the capture
-    u_mm : (n,)   standard uncertainty of the point from the stripe's noise, along the ray
+    u_mm : (n,)   standard uncertainty of the point from what is new in each frame: the stripe's noise, along the ray, and the noise of the
+        frame's angle, about the axis
     u_calibration_mm : (n,)   standard uncertainty from the calibration: common to neighbouring points, so that it does not average
         out (:func:`rotaline.scanning.propagation.calibration_uncertainty`); NaN where the calibration has no covariance
     """

@@ -51,6 +51,7 @@ def scan_points(
     angles_rad: Float[np.ndarray, " f"],
     calibration: SystemCalibration,
     first_frame: int = 0,
+    u_angles_rad: Float[np.ndarray, " f"] | None = None,
 ) -> PointCloud:
     """The points of a range of frames in the table frame.
 
@@ -63,11 +64,13 @@ def scan_points(
     angles_rad : (f,)   ``angle_deg`` of the session in rad: sense and error of the read-out are applied here and nowhere else
     calibration : SystemCalibration
     first_frame : the number of the first of these frames in the capture
+    u_angles_rad : (f,)   standard uncertainty of each angle, 0 where none is known; None: of all of them
 
     Returns
     -------
     PointCloud   without the points that no ray fixes; ``frame`` is ``first_frame`` plus the index in ``stripes``. ``u_mm`` is how far
-        the point moves in space when the centre moves along the stripe's normal by its standard uncertainty
+        the point moves in space when the centre moves along the stripe's normal by its standard uncertainty, and the table by that of
+        the frame's angle, which is common to the points of the frame
 
     Raises
     ------
@@ -78,13 +81,15 @@ def scan_points(
     """
     if len(stripes) != len(angles_rad):
         raise ValueError(f"{len(stripes)} stripes, but {len(angles_rad)} angles")
+    if u_angles_rad is None:
+        u_angles_rad = np.zeros(len(angles_rad))
     require_aslant(calibration.laser_plane_camera)
     turned_rad = calibration.angle_error.turned_rad(angles_rad) * calibration.turn_sense
     if len(stripes) <= _FRAMES_AT_A_TIME:
-        return next(_scan_by_blocks(stripes, turned_rad, calibration, first_frame))
+        return next(_scan_by_blocks(stripes, turned_rad, u_angles_rad, calibration, first_frame))
     n = 0
     columns: dict[str, np.ndarray] = {}
-    for piece in _scan_by_blocks(stripes, turned_rad, calibration, first_frame):
+    for piece in _scan_by_blocks(stripes, turned_rad, u_angles_rad, calibration, first_frame):
         for field in fields(piece):
             values = getattr(piece, field.name)
             if field.name not in columns:
@@ -97,6 +102,7 @@ def scan_points(
 def _scan_by_blocks(
     stripes: Sequence[StripePoints],
     turned_rad: Float[np.ndarray, " f"],
+    u_angles_rad: Float[np.ndarray, " f"],
     calibration: SystemCalibration,
     first_frame: int,
 ) -> Iterator[PointCloud]:
@@ -117,11 +123,21 @@ def _scan_by_blocks(
         points_camera, u_mm = np.empty((n, 3)), np.empty(n)
         meet_sheet(uv, normal, u_px, camera, sheet, np.sin(GRAZING_RAD), ON_SHEET_MM, points_camera, u_mm)
         points_table, viewpoints_table, u_calibration_mm = _on_table(points_camera, runs, calibration, factor)
+        u_mm = _with_angle_noise(u_mm, points_table, np.repeat(u_angles_rad[first : first + len(block)], counts))
         frame = np.repeat(np.arange(first, first + len(block)) + first_frame, counts)
         angle_rad = np.repeat(runs.turned_rad, counts)
         cloud = PointCloud(points_table, viewpoints_table, intensity, angle_rad, frame, u_mm, u_calibration_mm)
         good = np.isfinite(points_camera[:, 2])
         yield cloud if good.all() else cloud.select(good)
+
+
+def _with_angle_noise(
+    u_mm: Float[np.ndarray, " n"], points_table: Float[np.ndarray, "n 3"], u_angle_rad: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Uncertainties to which that of the frame's angle is added: it moves a point by its distance from the axis, at right angles to that."""
+    if not u_angle_rad.any():
+        return u_mm
+    return np.hypot(u_mm, u_angle_rad * np.hypot(points_table[:, 0], points_table[:, 1]))
 
 
 def _on_table(

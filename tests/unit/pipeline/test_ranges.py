@@ -170,7 +170,7 @@ def test_stripes_without_points_join():
     none = np.empty(0)
     empty = CaptureStripes(
         ("x",), np.array([math.nan]), (None,), none.astype(int), np.empty((0, 2)), np.empty((0, 2)),
-        none, none, none, none.astype(bool), none.astype(int),
+        none, none, none, none.astype(bool), none.astype(int), np.zeros(1),
     )  # fmt: skip
     assert empty.points_per_frame().tolist() == [0]
     assert [len(s) for s in empty.stripes()] == [0]

@@ -74,6 +74,34 @@ def test_the_stated_uncertainty_is_the_scatter_of_repeats():
     assert cloud.u_mm[0] == pytest.approx(scatter, rel=4 / np.sqrt(2 * 2000))
 
 
+@pytest.mark.parametrize("sense", [1, -1])
+def test_an_uncertain_angle_is_in_the_uncertainty_of_points_as_far_as_they_are_from_the_axis(sense):
+    rng = np.random.default_rng(2)
+    _, uv = _seen(AXIS.point + np.array([[5.0, 5.0, -5.0], [22.0, 4.0, -15.0], [0.4, 0.1, -0.3]]))
+    sigma_px, sigma_rad, n = 0.02, 3e-4, 2000
+    angles = 1.0 + rng.normal(0, sigma_rad, n)
+    noisy = [_stripe(uv + np.outer(rng.normal(0, sigma_px, 3), [1.0, 0.0])) for _ in range(n)]
+    points = scan_points(noisy, angles, _system(sense)).points_table.reshape(n, 3, 3)
+    scatter = np.sqrt(np.sum(np.var(points, axis=0), axis=1))
+    stated = scan_points([_stripe(uv, sigma_px)], np.ones(1), _system(sense), u_angles_rad=np.array([sigma_rad]))
+    assert stated.u_mm == pytest.approx(scatter, rel=4 / np.sqrt(2 * n))
+    without = scan_points([_stripe(uv, sigma_px)], np.ones(1), _system(sense))
+    radius = np.hypot(*stated.points_table[:, :2].T)
+    assert np.sqrt(stated.u_mm**2 - without.u_mm**2) == pytest.approx(sigma_rad * radius)
+    assert (stated.u_mm / without.u_mm).max() > 1.1
+
+
+def test_angles_of_which_nothing_is_stated_change_nothing():
+    _, uv = _seen(AXIS.point + np.random.default_rng(3).normal(0, 5, (30, 3)))
+    stripes, angles = [_stripe(uv)] * 70, np.linspace(0, 6, 70)
+    plain = scan_points(stripes, angles, _system(1))
+    same = scan_points(stripes, angles, _system(1), u_angles_rad=np.zeros(70))
+    one = scan_points(stripes, angles, _system(1), u_angles_rad=np.where(np.arange(70) == 66, 1e-3, 0.0))
+    for field in fields(plain):
+        assert np.array_equal(getattr(plain, field.name), getattr(same, field.name), equal_nan=True)
+    assert ((one.u_mm != plain.u_mm) == (plain.frame == 66)).all()
+
+
 def test_empty_frames_keep_their_number():
     _, uv = _seen(AXIS.point + np.array([[5.0, 5.0, -5.0]]))
     nothing = _stripe(np.empty((0, 2)))

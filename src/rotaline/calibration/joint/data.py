@@ -97,6 +97,7 @@ class TableFrame:
     angle_rad: float
     board: int
     points: TargetPoints
+    u_angle_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +109,7 @@ class MountFrame:
     mount: int
     number: int
     stripe: StripeLine
+    u_angle_rad: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -133,6 +135,19 @@ class JointData:
     mount_names: tuple[str, ...]
     artifact_groups: tuple[int, ...]
     n_boards: int
+
+    @property
+    def angle_excess_rad(self) -> Float[np.ndarray, " f"]:
+        """By how much the angle of each frame on the table (first targets, then mounts) is less certain than the best that is stated.
+
+        ``sqrt(u^2 - min(u)^2)``; 0 where nothing is stated. So a figure that is the same for all frames, which the maker of a table may have
+        been generous or modest with, plays no part: the data tell it better.
+        """
+        frames: list[TableFrame | MountFrame] = [*self.tables, *self.mount_frames]
+        u = np.array([f.u_angle_rad for f in frames])
+        stated = u > 0
+        least = u[stated].min() if stated.any() else 0.0
+        return np.sqrt(np.where(stated, u**2 - least**2, 0.0))
 
 
 def gather(observations: SessionObservations, start: JointStart) -> JointData:
@@ -193,7 +208,7 @@ def gather(observations: SessionObservations, start: JointStart) -> JointData:
             boards.append(target)
         assert view.angle_rad is not None
         mine_points = points("table-target", view.name, view.detection, usual(view.detection))
-        tables.append(TableFrame(view.name, view.angle_rad, boards.index(target), mine_points))
+        tables.append(TableFrame(view.name, view.angle_rad, boards.index(target), mine_points, view.u_angle_rad))
 
     started = {m.name: k for k, m in enumerate(start.mounts)}
     mounts = sorted((m for m in observations.mounts if m.name in started), key=lambda m: started[m.name])
@@ -208,7 +223,8 @@ def gather(observations: SessionObservations, start: JointStart) -> JointData:
         for f, stripe in enumerate(mount.stripes):
             if len(stripe) and np.isfinite(mount.angles_rad[f]):
                 line = StripeLine.of(number, stripe)
-                mount_frames.append(MountFrame(mount.frame_names[f], float(mount.angles_rad[f]), k, f, line))
+                u_angle = 0.0 if mount.u_angles_rad is None else float(mount.u_angles_rad[f])
+                mount_frames.append(MountFrame(mount.frame_names[f], float(mount.angles_rad[f]), k, f, line, u_angle))
     return JointData(
         tuple(targets),
         tuple(plates),

@@ -23,7 +23,6 @@ from rotaline.calibration.joint.linear import (
 from rotaline.calibration.joint.noise import (
     KEPT,
     Noise,
-    correlation_length,
     frame_factor,
     robust_scale,
     robust_weights,
@@ -39,6 +38,7 @@ from rotaline.calibration.joint.print_errors import (
 from rotaline.calibration.joint.rows import plate_pivot
 from rotaline.calibration.joint.solve import Eliminated, Solution, Triangle, eliminate, solve
 from rotaline.calibration.joint.state import Layout, State
+from rotaline.geometry.correlation import correlation_length
 
 MAX_ITERATIONS = 30
 
@@ -95,6 +95,7 @@ def iterate(
     rough : every fourth point of the stripes, and an end as soon as the steps are as small as the uncertainties
     """
     prints = prints or {}
+    noise = replace(noise, angle_excess=setting.data.angle_excess_rad)
     thin = 4 if rough else 1
     n_iterations, settled, steady = 0, False, False
     while n_iterations < MAX_ITERATIONS:

@@ -4,6 +4,11 @@ Nothing of it is assumed: scales come from the residuals. A frame on the table h
 flat; these are random effects with variances from the data [1]_ [2]_, estimated together with everything else. Neighbours along a stripe err alike: a
 stripe counts as many points as are independent, by the autocorrelation of its residuals.
 
+Where the session states that the angles of some frames are less certain than those of others, by an excess ``e``
+(:attr:`rotaline.calibration.joint.data.JointData.angle_excess_rad`), the error of an angle has two parts, the known one and that of all frames, ``sigma``, which is
+estimated: its variance is ``sigma^2 + e^2``. Of an error with mean m and variance v (given the data), ``k m`` and ``k^2 v + (1 - k) sigma^2`` with
+``k = sigma^2 / (sigma^2 + e^2)`` are the mean and the variance of the second part.
+
 References
 ----------
 .. [1] Harville, Journal of the American Statistical Association 72 (1977) 320
@@ -13,16 +18,16 @@ References
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 TABLE_ERRORS = ("angle", "run-out", "lift", "wobble")
 TABLE_CLASSES = np.array([3, 3, 0, 1, 1, 2])
 """Class (index into ``TABLE_ERRORS``) of a frame's turn about x, y, z and shift along x, y, z."""
+_ANGLE = 2
 CAUCHY = 4.0
 """Residuals of this many standard deviations count half: 98 % efficient for Gaussian noise, indifferent to gross outliers."""
 KEPT = 0.1
 """Points with a smaller robust weight are outliers (beyond 12 standard deviations)."""
-_MAX_LAG = 60
 _RUN = 24
 _FAR = 10.0
 _MUCH = 4.0
@@ -42,6 +47,7 @@ class Noise:
     print_mm : (t,)   of the places of a target's points, along x and y
     freedom : (g,)   by how much the noise is larger than the residuals, because parameters have been fitted to these; empty before that is known
     table_weight : (t,)   of what is known beforehand of each frame on the table, see :func:`frame_weights`; empty before that is known
+    angle_excess : (m,)   standard deviation of the known part of the angle's error of each frame on the table, rad; empty: there is none
     frame : (f,)   by how much the stripe of a frame errs more than those of the other frames of its group, >= 1; empty before that is known
     """
 
@@ -53,6 +59,13 @@ class Noise:
     table_weight: Float[np.ndarray, " n"] = field(default_factory=lambda: np.ones(0))
     freedom: Float[np.ndarray, " h"] = field(default_factory=lambda: np.ones(0))
     frame: Float[np.ndarray, " f"] = field(default_factory=lambda: np.ones(0))
+    angle_excess: Float[np.ndarray, " m"] = field(default_factory=lambda: np.zeros(0))
+
+    def table_sigma(self, excess_rad: float | Float[np.ndarray, " f"]) -> Float[np.ndarray, "*f 6"]:
+        """Standard deviation of a frame's turn about x, y, z and shift along x, y, z, with what is known of its angle."""
+        sigma = np.broadcast_to(np.maximum(self.table[TABLE_CLASSES], _LEAST_SIGMA), (*np.shape(excess_rad), 6)).copy()
+        sigma[..., _ANGLE] = np.hypot(sigma[..., _ANGLE], excess_rad)
+        return sigma
 
     def local_prior(self, n_local: int, number: int) -> Float[np.ndarray, " l"]:
         """One over the standard deviation of each of a frame's own parameters; 0 where nothing is known beforehand.
@@ -61,7 +74,9 @@ class Noise:
         """
         if number >= 0:
             weight = self.table_weight[number] if len(self.table_weight) else 1.0
-            return np.sqrt(weight) / np.maximum(self.table[TABLE_CLASSES], _LEAST_SIGMA)
+            return np.sqrt(weight) / self.table_sigma(
+                float(self.angle_excess[number]) if len(self.angle_excess) else 0.0
+            )
         return np.concatenate([np.zeros(6), np.full(n_local - 6, 1.0 / max(self.plate_mm, _LEAST_SIGMA))])
 
 
@@ -84,31 +99,6 @@ def information_factor(standardised: Float[np.ndarray, " n"]) -> float:
     slope = float(np.mean((1.0 - ratio) / (1.0 + ratio) ** 2))
     power = float(np.mean((t / (1.0 + ratio)) ** 2))
     return slope / np.sqrt(power) if power > 0 else 1.0
-
-
-def correlation_length(
-    values: Float[np.ndarray, " n"], piece: Int[np.ndarray, " n"], kept: Bool[np.ndarray, " n"]
-) -> float:
-    """How many neighbours count as one: ``1 + 2 sum of the autocorrelations`` up to where they drown in their own noise.
-
-    ``piece``: values of one piece follow each other along a stripe.
-    """
-    values = np.where(kept, values, 0.0)
-    power = float(np.sum(values**2))
-    n = int(np.count_nonzero(kept))
-    if n < 50 or power == 0.0:
-        return 1.0
-    length = 1.0
-    for lag in range(1, _MAX_LAG + 1):
-        pairs = (piece[lag:] == piece[:-lag]) & kept[lag:] & kept[:-lag]
-        n_pairs = int(np.count_nonzero(pairs))
-        if n_pairs < 50:
-            break
-        rho = float(values[lag:][pairs] @ values[:-lag][pairs]) / n_pairs / (power / n)
-        if rho < max(2.0 / np.sqrt(n_pairs), 0.01):
-            break
-        length += 2.0 * rho
-    return length
 
 
 def slow_variance(values: Float[np.ndarray, " n"], piece: Int[np.ndarray, " n"]) -> float:
@@ -141,6 +131,7 @@ def update_variances(
 ) -> Noise:
     """Standard deviations of the frames' own errors, from what was found in each frame and how well that is known [2]_."""
     everywhere, weights = np.ones(len(plate_means)), frame_weights(noise, table_means)
+    table_means, table_variances = of_all_frames(noise, table_means, table_variances, weights)
     table = noise.table.copy()
     for c in range(len(TABLE_ERRORS)):
         mine = c == TABLE_CLASSES
@@ -154,12 +145,30 @@ def determined(sigma: float, variances: Float[np.ndarray, "..."]) -> float:
     return float(np.sum(np.clip(1.0 - variances / max(sigma, _LEAST_SIGMA) ** 2, 0.0, 1.0)))
 
 
+def of_all_frames(
+    noise: Noise,
+    table_means: Float[np.ndarray, "f 6"],
+    table_variances: Float[np.ndarray, "f 6"],
+    weights: Float[np.ndarray, " f"],
+) -> tuple[Float[np.ndarray, "f 6"], Float[np.ndarray, "f 6"]]:
+    """Means and variances of the part of the frames' errors that all have: without what is known of their angles."""
+    if not len(noise.angle_excess):
+        return table_means, table_variances
+    own = max(float(noise.table[0]), _LEAST_SIGMA) ** 2
+    share = own / (own + noise.angle_excess**2)
+    means, variances = table_means.copy(), table_variances.copy()
+    means[:, _ANGLE] *= share
+    variances[:, _ANGLE] = share**2 * variances[:, _ANGLE] + (1.0 - share) * own / weights
+    return means, variances
+
+
 def frame_weights(noise: Noise, table_means: Float[np.ndarray, "f 6"]) -> Float[np.ndarray, " f"]:
     """How much a frame's own errors are like those of the others: robust weights of what is known of them beforehand.
 
     A frame whose table stood elsewhere (a wrong angle, a part that was pushed) is so given up by itself, and does not pull at the rest.
     """
-    largest = np.max(np.abs(table_means) / np.maximum(noise.table[TABLE_CLASSES], _LEAST_SIGMA), axis=1, initial=0.0)
+    excess = noise.angle_excess if len(noise.angle_excess) else np.zeros(len(table_means))
+    largest = np.max(np.abs(table_means) / noise.table_sigma(excess), axis=1, initial=0.0)
     return np.asarray(1.0 / (1.0 + (largest / _FAR) ** 2))
 
 

@@ -20,7 +20,7 @@ from rotaline.calibration.joint.model import (
     TableErrors,
     ViewResiduals,
 )
-from rotaline.calibration.joint.noise import KEPT, TABLE_CLASSES, TABLE_ERRORS, determined
+from rotaline.calibration.joint.noise import KEPT, TABLE_CLASSES, TABLE_ERRORS, determined, of_all_frames
 from rotaline.calibration.joint.observability import weak_directions
 from rotaline.calibration.joint.state import POSE_MOTIONS, State, once_per_turn
 from rotaline.calibration.joint.surfaces import mid_height, sizes_of, surface_names
@@ -325,7 +325,8 @@ def _table_errors(setting: Setting, found: Iterated) -> TableErrors | None:
         return None
     first = len(data.plates)
     steps = np.array(found.solution.own_steps[first:])
-    variances = np.array(found.solution.own_variances[first:])
+    known = np.array(found.solution.own_variances[first:])
+    _, variances = of_all_frames(found.noise, steps, known, np.ones(len(frames)))
     u = []
     for c in range(len(TABLE_ERRORS)):
         n = determined(float(found.noise.table[c]), variances[:, c == TABLE_CLASSES])

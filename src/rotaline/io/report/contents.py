@@ -17,6 +17,7 @@ from rotaline.calibration.model import (
 from rotaline.calibration.speckle_limit import SpeckleLimit
 from rotaline.calibration.verdict.model import Verdict
 from rotaline.geometry.primitives import SteppedCylinder
+from rotaline.io.drift_file import CaptureDrift
 from rotaline.io.results import MeasurementEntry
 from rotaline.scanning.cloud import PointCloud
 
@@ -30,6 +31,7 @@ STAGES = {
     "artifact": "Axis optimisation",
     "joint": "Joint estimate",
     "scan": "Scan",
+    "drift": "Drift",
     "measure": "Measurement",
     "surface": "Surface",
     "report": "Report",
@@ -140,7 +142,8 @@ class ReportContents:
     """Everything that the report shows; stages that were not done are None or empty.
 
     ``artifacts`` holds the calibrated sizes of the stepped cylinder by the folder of its capture. ``joint`` and ``verdict`` are None
-    for the article's way of calibrating, ``speckle_limit`` where the session does not state its optics.
+    for the article's way of calibrating, ``speckle_limit`` where the session does not state its optics. ``drift`` is empty without
+    reference frames.
     """
 
     run: RunInfo
@@ -163,6 +166,7 @@ class ReportContents:
     joint: JointCalibration | None = None
     verdict: Verdict | None = None
     speckle_limit: SpeckleLimit | None = None
+    drift: tuple[CaptureDrift, ...] = ()
 
     @property
     def estimated_jointly(self) -> bool:

@@ -1,14 +1,14 @@
 """Scales of what is random, from residuals that were drawn with known ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from rotaline.calibration.joint.noise import (
     TABLE_CLASSES,
     TABLE_ERRORS,
     Noise,
-    correlation_length,
     determined,
     frame_factor,
     information_factor,
@@ -17,12 +17,6 @@ from rotaline.calibration.joint.noise import (
     slow_variance,
     update_variances,
 )
-
-
-def _ar1(rho, n, rng):
-    """Noise of variance 1 with the correlation ``rho^lag``."""
-    gain = np.sqrt(1.0 - rho**2)
-    return lfilter([gain], [1.0, -rho], rng.standard_normal(n + 200))[200:]
 
 
 def _m_estimate(values, scale):
@@ -59,32 +53,6 @@ def test_what_a_residual_is_worth_is_what_robust_means_scatter_by(outliers):
 def test_a_residual_of_wrong_scale_is_worth_what_it_is():
     rng = np.random.default_rng(3)
     assert information_factor(1.5 * rng.standard_normal(50000)) == pytest.approx(1 / 1.5, rel=0.03)
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.8, 0.9])
-def test_correlation_length_of_noise_that_neighbours_share(rho):
-    """Points that count as one: the variance of a mean is that of n / length independent values."""
-    rng = np.random.default_rng(4)
-    values = np.concatenate([_ar1(rho, 400, rng) for _ in range(40)])
-    piece = np.repeat(np.arange(40), 400)
-    length = correlation_length(values, piece, np.ones(len(values), dtype=bool))
-    assert length == pytest.approx((1 + rho) / (1 - rho), rel=0.15)
-    means = values.reshape(40, 400).mean(axis=1)
-    assert np.sqrt(length / 400) == pytest.approx(np.sqrt(np.mean(means**2)), rel=0.35)
-
-
-def test_neighbours_of_different_pieces_and_outliers_do_not_count():
-    rng = np.random.default_rng(5)
-    short = np.repeat(rng.standard_normal(4000), 2)  # pairs alike: 1 + 2 * 1/2 within one piece
-    alone = np.ones(len(short), dtype=bool)
-    assert correlation_length(short, np.zeros(len(short), dtype=int), alone) == pytest.approx(2.0, rel=0.1)
-    assert correlation_length(short, np.arange(len(short)), alone) == 1.0
-    values = rng.standard_normal(6000)
-    values[2000:2040] = 80.0
-    piece = np.zeros(6000, dtype=int)
-    assert correlation_length(values, piece, np.abs(values) < 10) < 1.1
-    assert correlation_length(values, piece, np.ones(6000, dtype=bool)) > 10.0
-    assert correlation_length(values[:40], piece[:40], np.ones(40, dtype=bool)) == 1.0
 
 
 def test_slow_variance_is_that_of_means_over_neighbours():
@@ -142,6 +110,25 @@ def test_errors_that_are_not_there_shrink_to_what_chance_may_show():
     assert (noise.table < (18.0 / n) ** 0.25 * np.array([1e-4, 2e-3, 1e-3, 1e-4])).all()
 
 
+def test_what_is_known_of_some_angles_is_not_taken_for_an_error_of_all():
+    true, known, n = 2e-4, 6e-4, 400
+    rng = np.random.default_rng(9)
+    excess = np.where(np.arange(n) % 2, known, 0.0)
+    seen = 1e-9 * rng.standard_normal((n, 6))
+    seen[:, 2] = np.hypot(true, excess) * rng.standard_normal(n)
+    plates = np.zeros((0, 3))
+
+    def learnt(noise):
+        for _ in range(60):
+            noise = update_variances(noise, seen, np.full((n, 6), 1e-18), plates, plates)
+        return float(noise.table[0])
+
+    noise = Noise(np.ones(1), np.ones(1))
+    assert learnt(replace(noise, angle_excess=excess)) == pytest.approx(true, rel=0.12)
+    assert learnt(noise) == pytest.approx(np.sqrt(true**2 + known**2 / 2), rel=0.12)
+    assert learnt(replace(noise, angle_excess=np.zeros(n))) == learnt(noise)
+
+
 def test_how_many_errors_the_data_determine():
     assert determined(1.0, np.full((5, 2), 0.25)) == pytest.approx(7.5)
     assert determined(1.0, np.ones((5, 2))) == 0.0
@@ -152,4 +139,7 @@ def test_priors_of_a_frame_are_in_the_order_of_its_motion():
     assert TABLE_ERRORS == ("angle", "run-out", "lift", "wobble")
     on_table = 1.0 / noise.local_prior(6, 0)
     assert on_table == pytest.approx([4e-5, 4e-5, 1e-4, 2e-3, 2e-3, 3e-3])
+    less_certain = replace(noise, angle_excess=np.array([0.0, 2.4e-4]))
+    assert less_certain.local_prior(6, 0).tolist() == noise.local_prior(6, 0).tolist()
+    assert 1.0 / less_certain.local_prior(6, 1) == pytest.approx([4e-5, 4e-5, 2.6e-4, 2e-3, 2e-3, 3e-3])
     assert noise.local_prior(9, -1) == pytest.approx([0] * 6 + [100.0] * 3)
