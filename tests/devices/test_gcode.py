@@ -19,7 +19,7 @@ from rotaline.errors import (
 from rotaline.hardware.clock import VirtualClock
 from rotaline.hardware.connections import Connections
 from rotaline.hardware.drivers import find_devices, open_laser, open_turntable
-from rotaline.hardware.gcode.board import POLL_S
+from rotaline.hardware.gcode.connection import POLL_S
 from rotaline.hardware.lasers.gcode import Settings as LaserSettings
 from rotaline.hardware.turntables.gcode import Settings as TableSettings
 from rotaline.io.device_file import parse_device_file

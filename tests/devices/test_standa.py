@@ -75,13 +75,13 @@ class Reports(Controller):
 
 @pytest.fixture
 def reporting(tmp_path):
-    """A table in virtual time on a controller whose reports can be changed."""
+    """A table, in virtual time unless another clock is given, on a controller whose reports can be changed."""
     made = []
 
-    def make(**changes):
+    def make(clock=None, **changes):
         controller = Reports(tmp_path)
         made.append(controller)
-        return StandaTurntable(controller, settings(tmp_path, **changes), VirtualClock()), controller
+        return StandaTurntable(controller, settings(tmp_path, **changes), clock or VirtualClock()), controller
 
     yield make
     for controller in made:
@@ -196,7 +196,7 @@ def test_turning_ends_at_the_limit(opened):
 
 
 def test_speeds_are_those_that_were_asked_for(reporting):
-    table, controller = reporting(speed_deg_s=None)
+    table, controller = reporting(SystemClock(), speed_deg_s=None)  # the virtual controller moves in real time
     assert controller.motor_settings().steps_s == 1000.0
     table.turn(-12.5)
     assert controller.status().speed == -25 * MICROSTEPS

@@ -13,6 +13,7 @@ import pytest
 from tests.e2e.conftest import Outcome
 from tests.unit.pipeline.small_acquisition import content, rendered
 
+from rotaline.cli.acquire import ending_in_order
 from rotaline.cli.app import main
 from rotaline.errors import DeviceConnectionError
 from rotaline.hardware.cameras.simulated import SimulatedCamera
@@ -301,9 +302,14 @@ def test_a_device_error_has_exit_code_5_and_a_full_disk_4(place, quick, take):
 
 @pytest.mark.skipif(os.name != "posix", reason="needs the signals of POSIX")
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
-def test_signals_end_it_in_order(place, quick, worlds, monkeypatch, name, take):
+def test_signals_end_it_in_order(place, quick, worlds, monkeypatch, name, take, request):
     """The signal comes while the table turns with the laser on."""
     wait, sent = VirtualClock.wait, []
+    usual = {"SIGINT": signal.default_int_handler}.get(name, signal.SIG_DFL)
+    started_with = signal.signal(
+        getattr(signal, name), usual
+    )  # a program in the background may be started to ignore it
+    request.addfinalizer(lambda: signal.signal(getattr(signal, name), started_with))
 
     def signalled(self, seconds):
         if worlds and worlds[0].shines() and not worlds[0].table_stands() and not sent:
@@ -319,6 +325,15 @@ def test_signals_end_it_in_order(place, quick, worlds, monkeypatch, name, take):
     assert worlds[0].table_stands()
     assert signal.getsignal(signal.SIGTERM) is before
     read_session(place / "taken")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs the signals of POSIX")
+def test_a_terminal_that_is_closed_does_not_end_what_was_started_to_ignore_it(request):
+    started_with = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    request.addfinalizer(lambda: signal.signal(signal.SIGHUP, started_with))
+    with ending_in_order():
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
 
 # what is wrong is said

@@ -33,6 +33,7 @@ def acquire(
     """
     from rotaline.cli.acquisition_screen import AcquisitionScreen, summary
     from rotaline.cli.person import TerminalPerson
+    from rotaline.io.acquired_session import AcquiredSession
     from rotaline.io.device_file import read_device_file
     from rotaline.io.plan_file import plan_text, read_plan
     from rotaline.pipeline.acquire.acquire import acquire as take
@@ -53,6 +54,9 @@ def acquire(
     file, out = read_device_file(Path(given[0])), Path(given[-1])
     wanted = read_plan(plan if plan is not None else given[1])
     screen, began_s = AcquisitionScreen(0 if quiet else 1), time.monotonic()
+    AcquiredSession(
+        out, wanted.text, file.text
+    ).close()  # a place that cannot be used is refused before a device is opened
     with ending_in_order():
         opened = open_devices(file, screen.ask)
         with opened.rig as rig:
@@ -65,12 +69,16 @@ def acquire(
 
 @contextmanager
 def ending_in_order() -> Iterator[None]:
-    """SIGTERM and a closed terminal end the block as Ctrl-C does: the laser goes off, the table stands."""
+    """SIGTERM and a closed terminal end the block as Ctrl-C does: the laser goes off, the table stands.
+
+    What the program was started to ignore (a closed terminal, under nohup) it goes on ignoring.
+    """
 
     def end(number: int, _: Any) -> None:
         raise KeyboardInterrupt(signal.Signals(number).name)
 
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    known = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    names = [name for name in known if signal.getsignal(getattr(signal, name)) is not signal.SIG_IGN]
     before = {name: signal.signal(getattr(signal, name), end) for name in names}
     try:
         yield

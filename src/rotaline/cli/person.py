@@ -4,7 +4,7 @@ import contextlib
 import os
 import select
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Protocol
@@ -141,6 +141,10 @@ class TerminalPerson:
         self._keys = keys
         self._guides: dict[str, Guide] = {}
         self._stripe_uv: Float[np.ndarray, "m 2"] | None = None
+
+    def problems(self, captures: Sequence[PlanCapture]) -> list[str]:
+        """None: a person can place everything."""
+        return []
 
     def place(self, capture: PlanCapture, n_done: int) -> None:
         """Ask for the target or part; without a terminal it is taken to be there."""

@@ -12,6 +12,7 @@ import errno
 import io
 import json
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -109,8 +110,10 @@ class AcquiredSession:
                 )
             self._own.mkdir(parents=True, exist_ok=True)
             self._lock = (self._own / _LOCK).open("a")
+        self._is_held = False
         try:
-            if not held_alone(self._lock):
+            self._is_held = held_alone(self._lock)
+            if not self._is_held:
                 raise OutputError(
                     f"{path}: another `rotaline acquire` writes this session. Wait until it has ended, or choose another place."
                 )
@@ -149,7 +152,14 @@ class AcquiredSession:
         self.close()
 
     def close(self) -> None:
-        """Let the folder go; may be called twice."""
+        """Let the folder go, and remove it if nothing was put into it; may be called twice."""
+        if self._is_held and not self._lock.closed:
+            with suppress(OSError):  # not empty: it stays
+                if {file.name for file in self._own.iterdir()} <= {_PLAN, _RIG, _LOCK} and [*self.path.iterdir()] == [
+                    self._own
+                ]:
+                    shutil.rmtree(self._own)
+                    self.path.rmdir()
         self._lock.close()
 
     def found(self, folders: list[str]) -> Found:

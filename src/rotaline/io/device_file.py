@@ -90,6 +90,8 @@ def parse_device_file(text: str, source: str, folder: Path) -> DeviceFile:
     """
     data = toml_of(source, text)
     camera = data.get("camera")
+    if "captures" in data and "version" in data and not {"preset", "camera"} & set(data):
+        raise RigError(f"{source}: this is a plan: what is taken, not with which devices. {_BEGIN}")
     if "preset" in data or "captures" in data or (isinstance(camera, dict) and "position_mm" in camera):
         raise RigError(
             f"{source}: this describes a rig to be simulated, not devices. Name it in a file of devices:\n{SIMULATED_RIG}"

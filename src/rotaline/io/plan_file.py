@@ -16,6 +16,7 @@ from rotaline.io.toml_file import Place, checked, text_of, toml_of, toml_text, w
 PLANS = ("article",)
 TURNING = ("axis", "artifact", "scan")
 
+_MOST_STOPS = 100_000  # of a capture; more is a slip of the pen
 _POSES = {"camera": 20, "laser-plane": 10}
 
 
@@ -149,6 +150,10 @@ def _capture_contradictions(capture: PlanCapture) -> list[tuple[str, str]]:
     if capture.to_deg is not None and not 0 < abs(capture.to_deg - capture.from_deg) <= 360:
         found = f"found {capture.to_deg:g}, expected up to 360 deg from from_deg = {capture.from_deg:g}."
         problems.append(("to_deg", found))
+    span_deg = 360.0 if capture.to_deg is None else abs(capture.to_deg - capture.from_deg)
+    if capture.step_deg is not None and span_deg / capture.step_deg > _MOST_STOPS:
+        found = f"found {capture.step_deg:g}, expected at least {span_deg / _MOST_STOPS:g}: {_MOST_STOPS} angles."
+        problems.append(("step_deg", found))
     if len(set(capture.bracket)) < len(capture.bracket) or not all(math.isfinite(f) for f in capture.bracket):
         problems.append(("bracket", f"found {list(capture.bracket)}, expected different factors."))
     return problems

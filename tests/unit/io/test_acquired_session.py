@@ -200,11 +200,13 @@ def test_an_empty_folder_and_one_that_was_hardly_begun_are_taken(tmp_path):
     (tmp_path / "s/acquisition/.plan-x1.toml").write_text("ver")
     with opened(tmp_path / "s") as session:
         assert session.same_rig
-    assert sorted(p.name for p in (tmp_path / "s/acquisition").iterdir()) == ["lock", "plan.toml", "rig.toml"]
+        assert sorted(p.name for p in (tmp_path / "s/acquisition").iterdir()) == ["lock", "plan.toml", "rig.toml"]
+    assert not (tmp_path / "s").exists(), "nothing was put into it"
 
 
 def test_plan_and_rig_are_kept(tmp_path):
-    opened(tmp_path / "s", "plan\r\nä", "rig").close()
+    with opened(tmp_path / "s", "plan\r\nä", "rig") as session:
+        session.remember("ball.exposure_on_us", 1.0)
     assert (tmp_path / "s/acquisition/plan.toml").read_bytes() == "plan\r\nä".encode()
     with opened(tmp_path / "s", "plan\r\nä", "another") as session:
         assert not session.same_rig

@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from rotaline.errors import RigError
 from rotaline.io.device_file import SIMULATED_RIG, parse_device_file, read_device_file
+from rotaline.io.plan_file import plan_text
 
 REPLAY = 'version = 1\n[replay]\nsession = "s"\n[camera]\ndriver = "replay"\n'
 
@@ -70,6 +71,11 @@ def test_the_file_of_a_rig_to_be_simulated_is_recognised(text):
     with pytest.raises(RigError, match="this describes a rig to be simulated, not devices") as error:
         parsed(text)
     parsed(str(error.value).split(":\n", 1)[1])  # what it shows can be used
+
+
+def test_a_plan_in_its_place_is_recognised():
+    with pytest.raises(RigError, match="this is a plan: what is taken, not with which devices"):
+        parsed(plan_text("article"))
 
 
 def test_files_that_cannot_be_read(tmp_path):

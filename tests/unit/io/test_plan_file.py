@@ -36,6 +36,7 @@ def refused(text, source="plan.toml"):
         ("poses = 20", "poses = 2.5", "line 30, captures[1].poses: found 2.5; input should be a valid integer"),
         ('role = "axis"', 'role = "axes"', "line 40, captures[3].role: found 'axes', expected camera, laser-plane, axis, artifact or scan."),
         ("step_deg = 2.0", 'step_deg = "2"', "line 44, captures[3].step_deg: found '2'; input should be a valid number."),
+        ("step_deg = 2.0", "step_deg = 0.0001", "captures[3].step_deg: found 0.0001, expected at least 0.0004"),
         ("step_deg = 2.0", "step_deg = nan", "line 44, captures[3].step_deg: found nan"),
         ("step_deg = 2.0", "step_deg =", "line 44: this is not valid TOML"),
         ('folder = "ball"', 'folder = "a/b"', "line 59, captures[6].folder: found 'a/b'; string should match pattern"),

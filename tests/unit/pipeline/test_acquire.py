@@ -899,7 +899,8 @@ def test_cameras_without_gain_refuse_one(tmp_path):
 
 
 def test_a_capture_that_the_simulated_rig_does_not_have_is_named(tmp_path):
-    with pytest.raises(RigError, match="Capture 'balls': The simulated session has no capture 'balls'"):
+    with pytest.raises(RigError, match="capture 'balls': the simulated rig has no capture of this name"):
         start(tmp_path / "s", TARGETS + BALL.replace('"ball"', '"balls"'))
-    with pytest.raises(RigError, match="Ask for fewer poses"):
+    with pytest.raises(RigError, match="30 poses; the simulated rig has"):
         start(tmp_path / "t", TARGETS + CAMERA.replace("poses = 3", "poses = 30"))
+    assert not list(tmp_path.iterdir()), "it was refused before anything was begun"

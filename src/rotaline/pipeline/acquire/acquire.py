@@ -86,7 +86,7 @@ def acquire(
     OutputError
         If frames cannot be written.
     """
-    require_devices(plan, rig)
+    require_devices(plan, rig, person)
     with AcquiredSession(out, plan.text, rig_text) as session, FrameWriter(session) as writer:
         try:
             acquired = _Run(plan, rig, session, writer, person, observer, watch).all_captures()

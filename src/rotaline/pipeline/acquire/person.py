@@ -1,6 +1,6 @@
 """Who puts targets and parts where they belong, and turns to the next pose: a person, or a stand-in of a simulated or recorded rig."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol, runtime_checkable
 
@@ -14,6 +14,9 @@ Preview = Callable[[], CameraFrame]
 @runtime_checkable
 class Person(Protocol):
     """Does what devices cannot do."""
+
+    def problems(self, captures: Sequence[PlanCapture]) -> list[str]:
+        """What of these captures cannot be placed; asked before anything moves."""
 
     def place(self, capture: PlanCapture, n_done: int) -> None:
         """Put the target or part of a capture in its place; returns when it is there.
@@ -33,6 +36,10 @@ class Person(Protocol):
 
 class Nobody:
     """For plans in which the table does everything, and for programs: everything is in its place already."""
+
+    def problems(self, captures: Sequence[PlanCapture]) -> list[str]:
+        """None."""
+        return []
 
     def place(self, capture: PlanCapture, n_done: int) -> None:
         """Nothing to do."""

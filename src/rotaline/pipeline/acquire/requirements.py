@@ -4,11 +4,12 @@ from rotaline.errors import RigError
 from rotaline.hardware.rig import OpenRig
 from rotaline.io.plan_file import TURNING, PlanFile
 from rotaline.io.plan_tables import PlanCapture
+from rotaline.pipeline.acquire.person import Person
 from rotaline.pipeline.acquire.tasks import Stop, stops_of
 
 
-def require_devices(plan: PlanFile, rig: OpenRig) -> None:
-    """Refuse a plan that this rig cannot carry out, before anything moves.
+def require_devices(plan: PlanFile, rig: OpenRig, person: Person) -> None:
+    """Refuse a plan that this rig, or whoever places things in it, cannot carry out, before anything moves.
 
     Raises
     ------
@@ -23,6 +24,7 @@ def require_devices(plan: PlanFile, rig: OpenRig) -> None:
             found += _laser(capture, rig)
         found += _camera(capture, rig)
         problems += [f"{plan.source}, capture '{capture.folder}': {text}" for text in found]
+    problems += [f"{plan.source}, {text}" for text in person.problems(plan.tables.captures)]
     if problems:
         raise RigError("\n".join(problems))
 
