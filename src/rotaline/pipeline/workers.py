@@ -131,6 +131,10 @@ class ProcessWorkers:
                 return broken
 
     def _start_again(self, waiting: "Iterable[_Attempt]") -> None:
+        assert self._pool is not None
+        # a process that was being started while another one died is not ended by the pool (Python 3.11), which would wait for it for ever
+        for process in dict(self._pool._processes or {}).values():
+            process.terminate()
         self.close()
         for attempt in waiting:
             if attempt.future is None or not isinstance(attempt.future.exception(), BrokenProcessPool):
