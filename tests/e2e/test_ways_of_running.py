@@ -23,8 +23,8 @@ from rotaline.simulation.rig import build_rig
 from rotaline.simulation.session import write_session
 from rotaline.simulation.small_session import small_plan
 
-N_FRAMES = 140
-N_RANGES = 5
+N_FRAMES = 300
+N_RANGES = 10
 DEADLINE_S = 60.0
 
 

@@ -24,6 +24,8 @@ B = TypeVar("B")
 
 AHEAD = 3
 """Tasks under way for each worker: one is done, the others wait so that no worker waits."""
+_LOOK_S = 0.05
+"""While processes end, they are looked at so often."""
 MOST_ATTEMPTS = 3
 """A task whose worker dies so many times is given up."""
 
@@ -113,10 +115,18 @@ class ProcessWorkers:
                     attempt.future.cancel()
 
     def close(self) -> None:
-        """End the processes, after what they are doing."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=True)
-            self._pool = None
+        """End the processes, after what they are doing; at once if one of them has died."""
+        pool, self._pool = self._pool, None
+        if pool is None:
+            return
+        processes = list(dict(pool._processes or {}).values())
+        pool.shutdown(wait=False)
+        while alive := [process for process in processes if process.is_alive()]:
+            if any(process.exitcode for process in processes):
+                # one that was killed may hold the lock of the queue: the others would wait for it for ever
+                for process in alive:
+                    process.terminate()
+            alive[0].join(_LOOK_S)
 
     def _submit(self, function: Callable[[A], B], task: A) -> "Future[B]":
         if self._pool is None:
@@ -131,10 +141,6 @@ class ProcessWorkers:
                 return broken
 
     def _start_again(self, waiting: "Iterable[_Attempt]") -> None:
-        assert self._pool is not None
-        # a process that was being started while another one died is not ended by the pool (Python 3.11), which would wait for it for ever
-        for process in dict(self._pool._processes or {}).values():
-            process.terminate()
         self.close()
         for attempt in waiting:
             if attempt.future is None or not isinstance(attempt.future.exception(), BrokenProcessPool):

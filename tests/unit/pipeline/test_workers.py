@@ -1,5 +1,7 @@
 """Order, bounded numbers, errors and deaths, with tasks that are expressions: ``eval`` is a function that every process knows."""
 
+import os
+import signal
 import sys
 from multiprocessing import active_children
 
@@ -67,6 +69,18 @@ def test_a_task_whose_process_died_once_is_done_again(tmp_path):
     workers = ProcessWorkers(2)
     assert list(workers.run(eval, [*"0123", once, *"5678"])) == [0, 1, 2, 3, True, 5, 6, 7, 8]
     workers.close()
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_closing_does_not_wait_for_a_process_that_waits_for_a_dead_one(which):
+    """An idle process holds the lock of the queue, for which the other one waits."""
+    workers = ProcessWorkers(2)
+    assert list(workers.run(eval, [*"01234567"])) == list(range(8))
+    children = active_children()
+    assert len(children) == 2
+    os.kill(children[which].pid, signal.SIGKILL)
+    workers.close()
+    assert not active_children()
 
 
 def test_without_dask_the_line_that_installs_it_is_said(monkeypatch):
