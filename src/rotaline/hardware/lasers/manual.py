@@ -1,10 +1,10 @@
 """A laser with a switch that a person presses when the program asks."""
 
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Literal
 
 from rotaline.errors import DeviceStateError
+from rotaline.hardware.by_hand import Ask, answer_of, person_of
 from rotaline.hardware.clock import Clock
 from rotaline.hardware.connections import Connections
 from rotaline.hardware.drivers import FoundDevice
@@ -23,7 +23,7 @@ class Settings(Table):
 class ManualLaser:
     """See :class:`~rotaline.hardware.laser.Laser`. A person has no time-out: calls wait for the answer."""
 
-    def __init__(self, settings: Settings, ask: Callable[[str], str], clock: Clock) -> None:
+    def __init__(self, settings: Settings, ask: Ask, clock: Clock) -> None:
         """Have it switched off."""
         self._settings = settings
         self._ask = ask
@@ -73,12 +73,8 @@ class ManualLaser:
         self._closed = True
 
     def _question(self, state: str) -> None:
-        try:
-            self._ask(f"{self._settings.name}: switch it {state}, then press Enter:")
-        except EOFError as error:
-            raise DeviceStateError(
-                f"{self._info.device}: nobody answers, the input has ended. Switch it off by hand."
-            ) from error
+        text = f"{self._settings.name}: switch it {state}, then press Enter:"
+        answer_of(self._ask, self._info.device, text, "Switch it off by hand.")
         self._clock.wait(self._settings.switching_s)
 
     def _check_open(self) -> None:
@@ -94,12 +90,7 @@ def open_device(settings: Settings, clock: Clock, connections: Connections) -> M
     DeviceStateError
         If there is no terminal.
     """
-    ask = connections.get("prompt")
-    if ask is None:
-        raise DeviceStateError(
-            f"{settings.name}: somebody has to switch it, and there is no terminal to ask in. Work in a terminal."
-        )
-    return ManualLaser(settings, ask, clock)
+    return ManualLaser(settings, person_of(settings.name, "switch it", connections), clock)
 
 
 def find() -> tuple[FoundDevice, ...]:

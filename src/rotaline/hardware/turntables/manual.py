@@ -1,12 +1,12 @@
 """An indexing table that a person turns: the program asks, and believes what the person reads off the scale."""
 
 import math
-from collections.abc import Callable
 from typing import Annotated, Literal
 
 from pydantic import Strict, model_validator
 
 from rotaline.errors import DeviceLimitError, DeviceStateError
+from rotaline.hardware.by_hand import Ask, answer_of, person_of
 from rotaline.hardware.clock import Clock
 from rotaline.hardware.connections import Connections
 from rotaline.hardware.drivers import FoundDevice
@@ -38,7 +38,7 @@ class Settings(Table):
 class ManualTurntable:
     """See :class:`~rotaline.hardware.turntable.Turntable`. A person has no time-out: calls wait for the answer."""
 
-    def __init__(self, settings: Settings, ask: Callable[[str], str], clock: Clock) -> None:
+    def __init__(self, settings: Settings, ask: Ask, clock: Clock) -> None:
         """Its angle is not known until it has been asked for."""
         self._settings = settings
         self._ask = ask
@@ -135,12 +135,7 @@ class ManualTurntable:
         return math.isfinite(angle_deg) and least <= angle_deg <= most
 
     def _question(self, text: str) -> str:
-        try:
-            return self._ask(text)
-        except EOFError as error:
-            raise DeviceStateError(
-                f"{self._info.device}: nobody answers, the input has ended. Work in a terminal."
-            ) from error
+        return answer_of(self._ask, self._info.device, text, "Work in a terminal.")
 
     def _check_open(self) -> None:
         if self._closed:
@@ -155,12 +150,7 @@ def open_device(settings: Settings, clock: Clock, connections: Connections) -> M
     DeviceStateError
         If there is no terminal.
     """
-    ask = connections.get("prompt")
-    if ask is None:
-        raise DeviceStateError(
-            f"{settings.name}: somebody has to turn it, and there is no terminal to ask in. Work in a terminal."
-        )
-    return ManualTurntable(settings, ask, clock)
+    return ManualTurntable(settings, person_of(settings.name, "turn it", connections), clock)
 
 
 def find() -> tuple[FoundDevice, ...]:
