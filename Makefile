@@ -19,7 +19,7 @@ demo: install
 	@$(BIN)/rotaline demo
 
 test: install
-	@$(BIN)/python -m pytest -n auto tests
+	@$(BIN)/python -m pytest -n auto --max-worker-restart 1 tests
 
 check: install
 	$(BIN)/ruff format --check .

@@ -12,6 +12,7 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from multiprocessing import active_children
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -97,43 +98,38 @@ def _free_port():
 
 
 @pytest.fixture
-def start_cluster():
+def start_cluster(tmp_path):
     """Start a scheduler and workers, which end with the test."""
     with ExitStack() as stack:
 
-        def start(command, *arguments):
-            process = subprocess.Popen(
-                [sys.executable, "-m", f"distributed.cli.dask_{command}", *arguments, "--no-dashboard"],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
+        def start(words, command, *arguments):
+            said = (
+                tmp_path / f"{command}-{uuid4().hex}.txt"
+            )  # a file: a pipe that nobody reads would stop who writes into it
+            with said.open("w") as file:
+                process = subprocess.Popen(
+                    [sys.executable, "-m", f"distributed.cli.dask_{command}", *arguments, "--no-dashboard"],
+                    stdout=subprocess.DEVNULL,
+                    stderr=file,
+                )
             stack.callback(_end, process)
+            _wait_until(lambda: words in said.read_text() or process.poll() is not None)
+            assert words in said.read_text()
             return process
 
         def start_all(n_workers):
             port = _free_port()
-            scheduler = start("scheduler", "--host", "127.0.0.1", "--port", str(port))
-            _read_until(scheduler, "Scheduler at")
+            scheduler = start("Scheduler at", "scheduler", "--host", "127.0.0.1", "--port", str(port))
             one = ("--nthreads", "1", "--no-nanny", "--host", "127.0.0.1")
-            workers = [start("worker", f"tcp://127.0.0.1:{port}", *one) for _ in range(n_workers)]
-            for worker in workers:
-                _read_until(worker, "Registered to")
+            workers = [start("Registered to", "worker", f"tcp://127.0.0.1:{port}", *one) for _ in range(n_workers)]
             return Cluster(port, scheduler, workers)
 
         yield start_all
 
 
-def _read_until(process, words):
-    for line in process.stderr:
-        if words in line:
-            return
-    raise AssertionError(f"the process ended before it said '{words}'")
-
-
 def _end(process):
     process.kill()
-    process.communicate()
+    process.wait(DEADLINE_S)
 
 
 def _wait_until(condition):
@@ -260,8 +256,8 @@ def test_an_interrupt_leaves_no_process_behind(scene, by_threads, tmp_path):
         try:
             _wait_until(lambda: _ranges(tmp_path / "results") or process.poll() is not None)
             os.killpg(process.pid, signal.SIGINT)  # as a terminal does it
-            said = process.stderr.read()
-            assert process.wait(DEADLINE_S) == INTERRUPTED, said
+            _, said = process.communicate(timeout=DEADLINE_S)
+            assert process.returncode == INTERRUPTED, said
             _wait_until(lambda: not _alive(process.pid))
         finally:
             if _alive(process.pid):

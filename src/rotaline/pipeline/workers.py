@@ -7,13 +7,16 @@ Leaving early, by an error or an interrupt, cancels what has not begun.
 import os
 import signal
 import threading
+import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from itertools import islice
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context, parent_process, resource_tracker
+from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from rotaline.errors import WorkError
@@ -24,8 +27,8 @@ B = TypeVar("B")
 
 AHEAD = 3
 """Tasks under way for each worker: one is done, the others wait so that no worker waits."""
-_LOOK_S = 0.05
-"""While processes end, they are looked at so often."""
+_END_S = 10.0
+"""So long a process that has nothing to do may take to end."""
 MOST_ATTEMPTS = 3
 """A task whose worker dies so many times is given up."""
 
@@ -80,88 +83,85 @@ class ThreadWorkers:
 
 
 class ProcessWorkers:
-    """Processes of this machine; they start with the first task, stay until :meth:`close`, and end when this process ends."""
+    """Processes of this machine; they start when there is work, stay until :meth:`close`, and end when this process ends.
+
+    Each process has a connection of its own and shares no queue and no lock with the others, so that one that is killed, at whatever moment,
+    is noticed by the thread that waits for it and by nobody else.
+    """
 
     def __init__(self, n: int) -> None:
         self._n = n
-        self._pool: ProcessPoolExecutor | None = None
+        self._idle: list[_Process] = []
 
     def run(self, function: Callable[[A], B], tasks: Iterable[A]) -> Generator[B, None, None]:
-        """See :class:`Workers`; when a process dies, all are made anew and what was under way is done again."""
-        remaining = iter(tasks)
-        waiting: deque[_Attempt] = deque()
-        try:
-            while True:
-                waiting.extend(_Attempt(task) for task in islice(remaining, AHEAD * self._n - len(waiting)))
-                if not waiting:
-                    return
-                # once a task saw two deaths, it is alone under way: a third one is its own
-                careful = max(attempt.deaths for attempt in waiting) >= MOST_ATTEMPTS - 1
-                for attempt in islice(waiting, 1 if careful else len(waiting)):
-                    if attempt.future is None:
-                        attempt.future = self._submit(function, attempt.task)
-                first = waiting[0]
-                assert first.future is not None
-                try:
-                    result = first.future.result()
-                except BrokenProcessPool:
-                    self._start_again(waiting)
-                    continue
-                waiting.popleft()
-                yield result
-        finally:
-            for attempt in waiting:
-                if attempt.future is not None:
-                    attempt.future.cancel()
+        """See :class:`Workers`; when a process dies, another one does again what it was doing."""
+        return ThreadWorkers(self._n).run(partial(self._do, function), tasks)
 
     def close(self) -> None:
-        """End the processes, after what they are doing; at once if one of them has died."""
-        pool, self._pool = self._pool, None
-        if pool is None:
-            return
-        processes = list(dict(pool._processes or {}).values())
-        pool.shutdown(wait=False)
-        while alive := [process for process in processes if process.is_alive()]:
-            if any(process.exitcode for process in processes):
-                # one that was killed may hold the lock of the queue: the others would wait for it for ever
-                for process in alive:
-                    process.terminate()
-            alive[0].join(_LOOK_S)
+        """End the processes."""
+        idle, self._idle = self._idle, []
+        for process in idle:
+            process.close()
 
-    def _submit(self, function: Callable[[A], B], task: A) -> "Future[B]":
-        if self._pool is None:
-            # a new process each: threads of the linear algebra do not survive a fork
-            self._pool = ProcessPoolExecutor(self._n, get_context("spawn"), initializer=_end_with_parent)
-        with _interrupts_stay_here():
+    def _do(self, function: Callable[[A], B], task: A) -> B:
+        """The result of one task; a thread waits for it."""
+        for _ in range(MOST_ATTEMPTS):
+            process = self._idle.pop() if self._idle else _Process()
             try:
-                return self._pool.submit(function, task)
-            except BrokenProcessPool as error:
-                broken: Future[B] = Future()
-                broken.set_exception(error)
-                return broken
-
-    def _start_again(self, waiting: "Iterable[_Attempt]") -> None:
-        self.close()
-        for attempt in waiting:
-            if attempt.future is None or not isinstance(attempt.future.exception(), BrokenProcessPool):
+                done, result = process.do(function, task)
+            except _ProcessDiedError:
+                process.close()
+                LOG.warning("a worker process died; its work is done again")
                 continue
-            attempt.future = None
-            attempt.deaths += 1
-            if attempt.deaths >= MOST_ATTEMPTS:
-                raise WorkError(
-                    f"{attempt.task}: the process that worked on this died {attempt.deaths} times. Memory may be short: "
-                    f"close other programs, or start the same command again with fewer processes than --workers {self._n}."
-                )
-        LOG.warning("a worker process died; its work is done again")
+            except BaseException:
+                process.close()
+                raise
+            self._idle.append(process)
+            if done:
+                return result
+            raise result
+        raise WorkError(
+            f"{task}: the process that worked on this died {MOST_ATTEMPTS} times. Memory may be short: "
+            f"close other programs, or start the same command again with fewer processes than --workers {self._n}."
+        )
 
 
-class _Attempt:
-    """A task under way."""
+class _ProcessDiedError(Exception):
+    """The process at the other end is gone."""
 
-    def __init__(self, task: Any) -> None:
-        self.task = task
-        self.future: Future[Any] | None = None
-        self.deaths = 0
+
+class _Process:
+    """A process that does one task after the other."""
+
+    _starting = threading.Lock()
+
+    def __init__(self) -> None:
+        context = get_context("spawn")  # threads of the linear algebra do not survive a fork
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        with self._starting:
+            resource_tracker.ensure_running()  # which lets interrupts through when it starts
+            with _interrupts_stay_here():
+                self._process.start()
+        theirs.close()  # or else its end would not be noticed
+
+    def do(self, function: Callable[[A], B], task: A) -> "tuple[bool, Any]":
+        """Whether it was done, and the result or else the error."""
+        try:
+            self._connection.send((function, task))
+            answer: tuple[bool, Any] = self._connection.recv()
+        except (EOFError, OSError) as error:
+            raise _ProcessDiedError from error
+        return answer
+
+    def close(self) -> None:
+        """End it, which does nothing or is dead."""
+        self._connection.close()
+        self._process.join(_END_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._process.close()
 
 
 @contextmanager
@@ -172,6 +172,22 @@ def _interrupts_stay_here() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _serve(connection: Connection) -> None:
+    """Do tasks until there are no more."""
+    _end_with_parent()
+    while True:
+        try:
+            function, task = connection.recv()
+        except EOFError:
+            return
+        try:
+            answer = ForkingPickler.dumps((True, function(task)))
+        except Exception as error:
+            error.add_note(traceback.format_exc())
+            answer = ForkingPickler.dumps((False, error))
+        connection.send_bytes(answer)
 
 
 def _end_with_parent() -> None:

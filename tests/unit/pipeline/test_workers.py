@@ -3,8 +3,10 @@
 import os
 import signal
 import sys
+import threading
 from multiprocessing import active_children
 
+import numpy as np
 import pytest
 
 from rotaline.errors import SessionError, WorkError
@@ -72,13 +74,52 @@ def test_a_task_whose_process_died_once_is_done_again(tmp_path):
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_closing_does_not_wait_for_a_process_that_waits_for_a_dead_one(which):
-    """An idle process holds the lock of the queue, for which the other one waits."""
+def test_a_process_that_is_killed_while_it_has_nothing_to_do_harms_nothing(which):
     workers = ProcessWorkers(2)
     assert list(workers.run(eval, [*"01234567"])) == list(range(8))
     children = active_children()
-    assert len(children) == 2
-    os.kill(children[which].pid, signal.SIGKILL)
+    os.kill(children[which % len(children)].pid, signal.SIGKILL)
+    assert list(workers.run(eval, [*"01234567"])) == list(range(8))
+    os.kill(active_children()[0].pid, signal.SIGKILL)
+    workers.close()
+    assert not active_children()
+
+
+def test_processes_that_are_killed_at_whatever_moment_change_nothing():
+    """At the start, while a task or a result is on its way, at work, between tasks, at the end."""
+    expected = [i * b"x" * 1000 for i in range(60)]
+    tasks = [f"__import__('time').sleep({i % 3} / 50) or {i} * b'x' * 1000" for i in range(60)]
+    random = np.random.default_rng(5)
+    killed = []
+    for _ in range(3):
+        workers = ProcessWorkers(2)
+        ended = threading.Event()
+
+        def kill_now_and_then(ended=ended):
+            # more than a process takes to start: no task meets three deaths
+            while not ended.wait(0.3 + 0.2 * random.random()):
+                for child in active_children()[:1]:
+                    os.kill(child.pid, signal.SIGKILL)
+                    killed.append(child.pid)
+
+        killer = threading.Thread(target=kill_now_and_then)
+        killer.start()
+        assert list(workers.run(eval, tasks)) == expected
+        assert list(workers.run(eval, tasks)) == expected
+        ended.set()
+        killer.join()
+        workers.close()
+        assert not active_children()
+    assert len(killed) > 3
+
+
+def test_what_cannot_be_sent_is_an_error_and_no_death():
+    workers = ProcessWorkers(1)
+    with pytest.raises(Exception, match="lambda"):
+        list(workers.run(eval, ["lambda: 0"]))
+    with pytest.raises(Exception, match="lambda"):
+        list(workers.run(lambda x: x, ["0"]))
+    assert list(workers.run(eval, ["3"])) == [3]
     workers.close()
     assert not active_children()
 
