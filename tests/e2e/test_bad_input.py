@@ -88,7 +88,7 @@ UNREADABLE = {
     "unknown role": (_toml('role = "axis"', 'role = "spin"'), ("line", "role", "'spin'", "axis, ")),
     "unknown target": (_toml('target = "dots"', 'target = "points"'), ("line", "target", "'points'", "checkerboard")),
     "unknown kind": (_toml('kind = "dots"', 'kind = "holes"'), ("line", "kind", "'holes'", "charuco")),
-    "negative pitch": (_toml("pitch = 4.5", "pitch = -4.5"), ("line", "pitch", "-4.5", "greater than 0")),
+    "negative pitch": (_toml("pitch = 4.5", "pitch = -4.5"), ("line", "pitch", "-4.5", "more than 0")),
     "pitch is NaN": (_toml("pitch = 4.5", "pitch = nan"), ("line", "pitch", "nan")),
     "text for a number": (_toml("pitch = 4.5", 'pitch = "wide"'), ("line", "pitch", "wide")),
     "board of one corner": (_toml("[14, 9]", "[1, 9]"), ("line", "inner_corners", "1")),

@@ -1,6 +1,5 @@
 """Rig files (TOML): a rig and what is to be recorded with it; and the presets, which are such files."""
 
-import re
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,9 +10,10 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from rotaline.errors import RigError
+from rotaline.io.mistakes import refused
 from rotaline.io.rig_tables import CaptureTable, MeasurementTable, MountTable, PartTable, RigTables, TargetTable
 from rotaline.io.rig_values import plan_of, rig_of, step_deg_of, views_of
-from rotaline.io.toml_file import Place, text_of, where
+from rotaline.io.toml_file import Place, text_of, toml_of, where
 from rotaline.simulation.plan import SessionPlan
 from rotaline.simulation.rig import Rig
 
@@ -115,11 +115,7 @@ def parse_rig(text: str, source: str) -> RigFile:
     RigError
         With all that is wrong: file, line, field; found, expected.
     """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        place = re.search(r"at line (\d+)", str(error))
-        raise RigError(f"{source}{f', line {place[1]}' if place else ''}: this is not valid TOML: {error}.") from error
+    data = toml_of(source, text)
     try:
         data = _with_preset(data)
     except RigError as error:
@@ -252,8 +248,7 @@ def _capture_contradictions(capture: CaptureTable, tables: RigTables) -> list[tu
 
 
 def _explain(source: str, text: str, error: dict[str, Any]) -> str:
-    kind, found, context = error["type"], error.get("input"), error.get("ctx", {})
-    loc = error["loc"]
+    kind, loc, context = error["type"], error["loc"], error.get("ctx", {})
     with_kind = len(loc) > 2 and loc[0] in ("targets", "parts")
     place: Place = (*loc[:2], *loc[3:]) if with_kind else tuple(loc)  # pydantic names the kind as well
     if kind == "missing" and isinstance(place[-1], int):
@@ -267,11 +262,7 @@ def _explain(source: str, text: str, error: dict[str, Any]) -> str:
         tag = f"'{context['tag']}'" if "tag" in context else "nothing"
         expected = ", ".join(_kinds(str(loc[0])))
         return f"{where(source, text, (*place, 'kind'))}: found {tag}, expected one of {expected}."
-    if kind == "literal_error":
-        expected = str(context["expected"]).replace("'", "")
-        return f"{where(source, text, place)}: found {found!r}, expected {expected}."
-    message = str(error["msg"])
-    return f"{where(source, text, place)}: found {found!r}; {message[:1].lower()}{message[1:]}."
+    return f"{where(source, text, place)}: {refused(error)}"
 
 
 def _kinds(group: str) -> dict[str, type[BaseModel]]:

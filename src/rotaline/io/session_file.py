@@ -1,6 +1,5 @@
 """``session.toml``: its fields, checked, with the line of each mistake."""
 
-import re
 import tomllib
 from dataclasses import asdict
 from typing import Annotated, Any, Literal, cast, get_args
@@ -10,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool, ValidationError
 from rotaline.calibration.speckle_limit import LaserOptics
 from rotaline.errors import SessionError
 from rotaline.geometry.primitives import Artifact, KnownCylinder, KnownSphere, SteppedCylinder
+from rotaline.io.mistakes import no_toml, refused
 from rotaline.io.toml_file import where
 from rotaline.metrology.model import Region
 from rotaline.vision.targets.model import CharucoBoard, Checkerboard, DotGrid, Target
@@ -180,9 +180,8 @@ def parse_session_file(data: bytes, label: str) -> tuple[SessionFile | None, lis
     except UnicodeDecodeError as error:
         return None, [(label, f"the file is not UTF-8 text (byte {error.start}). Save it as UTF-8.", True)]
     except tomllib.TOMLDecodeError as error:
-        place = re.search(r"at line (\d+)", str(error))
-        at = f"{label}, line {place[1]}" if place else label
-        return None, [(at, f"this is not valid TOML: {error}.", True)]
+        line, what = no_toml(text, error)
+        return None, [(f"{label}, line {line}" if line else label, what, True)]
     try:
         content = _File.model_validate(parsed)
     except ValidationError as error:
@@ -295,11 +294,6 @@ def _explain(path: str, text: str, error: dict[str, Any]) -> tuple[str, str, boo
         found = context.get("tag", "nothing")
         return where(path, text, place), f"found '{found}', expected one of {', '.join(_KINDS)}.", True
     if kind == "literal_error":
-        expected = str(context["expected"]).replace("'", "")
         hint = " This program reads version 1." if place == ("version",) else ""
-        return where(path, text, place), f"found {error['input']!r}, expected {expected}.{hint}", True
-    return where(path, text, place), f"found {error['input']!r}; {_lower(error['msg'])}.", True
-
-
-def _lower(message: str) -> str:
-    return message[:1].lower() + message[1:]
+        return where(path, text, place), refused(error) + hint, True
+    return where(path, text, place), refused(error), True

@@ -10,6 +10,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from rotaline.errors import RigError
+from rotaline.io.mistakes import expected_text, found_text, no_toml, refused
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -99,8 +100,8 @@ def toml_of(path: Path | str, text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        at = re.search(r"at line (\d+)", str(error))
-        raise RigError(f"{path}{f', line {at[1]}' if at else ''}: this is not valid TOML: {error}.") from error
+        line, what = no_toml(text, error)
+        raise RigError(f"{path}{f', line {line}' if line else ''}: {what}") from error
 
 
 def checked(model: type[M], data: Any, source: Path | str, text: str, place: Place = ()) -> M:
@@ -115,8 +116,12 @@ def checked(model: type[M], data: Any, source: Path | str, text: str, place: Pla
         return model.model_validate(data)
     except ValidationError as error:
         found = error.errors()
-        lines = [_explain(model, source, text, place, dict(entry)) for entry in found if not _follows(entry, found)]
-        raise RigError("\n".join(dict.fromkeys(lines))) from error
+        by_place: dict[Place, list[dict[str, Any]]] = {}
+        for entry in found:
+            if not _follows(entry, found):
+                by_place.setdefault(_place_in_file(place, entry["loc"]), []).append(dict(entry))
+        lines = [_explain(model, source, text, at, entries) for at, entries in by_place.items()]
+        raise RigError("\n".join(lines)) from error
 
 
 def _follows(entry: Any, found: Sequence[Any]) -> bool:
@@ -125,20 +130,31 @@ def _follows(entry: Any, found: Sequence[Any]) -> bool:
     return entry["type"] == "too_short" and any(len(e["loc"]) > len(loc) and e["loc"][: len(loc)] == loc for e in found)
 
 
-def _explain(model: type[BaseModel], source: Path | str, text: str, place: Place, error: dict[str, Any]) -> str:
-    kind, found, context, loc = error["type"], error.get("input"), error.get("ctx", {}), tuple(error["loc"])
-    at = (*place, *(part for part in loc if not (isinstance(part, str) and re.search(r"[\[(]|^constrained-", part))))
+def _place_in_file(place: Place, loc: Sequence[str | int]) -> Place:
+    """Without what pydantic adds to name one of several types that a value may have."""
+    return (*place, *(part for part in loc if not (isinstance(part, str) and re.search(r"[\[(]|^constrained-", part))))
+
+
+def _explain(
+    model: type[BaseModel], source: Path | str, text: str, at: Place, errors: Sequence[Mapping[str, Any]]
+) -> str:
+    """What is wrong at one place; there are several errors where a value may have one of several types."""
+    error = errors[0]
+    kind = error["type"]
+    if kind == "missing" and isinstance(at[-1], int):
+        return f"{where(source, text, at[:-1])}: the list is too short, a value is missing."
     if kind == "missing":
         return f"{where(source, text, at[:-1], at[-1])}: it is missing; expected a value."
     if kind == "extra_forbidden":
-        inner = _model_at(model, loc[:-1])
+        inner = _model_at(model, error["loc"][:-1])
         known = "" if inner is None else f"; expected one of {', '.join(inner.model_fields)}"
         return f"{where(source, text, at)}: there is no such key{known}."
-    if kind == "literal_error":
-        expected = str(context["expected"]).replace("'", "")
-        return f"{where(source, text, at)}: found {found!r}, expected {expected}."
-    message = str(error["msg"])
-    return f"{where(source, text, at)}: found {found!r}; {message[:1].lower()}{message[1:]}."
+    expected = [expected_text(e) for e in errors]
+    if len(errors) > 1 and all(expected):
+        words = [f'"{e}"' if entry["type"] == "literal_error" else e for e, entry in zip(expected, errors, strict=True)]
+        either = ", or ".join(str(word) for word in words)
+        return f"{where(source, text, at)}: found {found_text(error.get('input'))}, expected {either}."
+    return f"{where(source, text, at)}: {refused(error)}"
 
 
 def _model_at(model: Any, loc: Place) -> type[BaseModel] | None:

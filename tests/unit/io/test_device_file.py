@@ -27,13 +27,14 @@ def parsed(text):
         ('[camera]\ndriver = "simulated"', "[camera]", "rig.toml, line 7, camera.driver: found nothing, expected one of genicam, gentl"),
         ('[camera]\ndriver = "simulated"', '[camera]\ndriver = "basler"', "rig.toml, line 8, camera.driver: found 'basler', expected one of genicam"),
         ('[camera]\ndriver = "simulated"', '[camera]\ndriver = "simulated"\nreadout = 3', "rig.toml, line 9, camera.readout: there is no such key; expected one of driver, readout_ms, queue_frames."),
-        ('[camera]\ndriver = "simulated"', '[camera]\ndriver = "simulated"\nreadout_ms = -3', "rig.toml, line 9, camera.readout_ms: found -3; input should be greater than or equal to 0."),
-        ('[camera]\ndriver = "simulated"', '[camera]\ndriver = "simulated"\nreadout_ms = "3"', "rig.toml, line 9, camera.readout_ms: found '3'; input should be a valid number."),
+        ('[camera]\ndriver = "simulated"', '[camera]\ndriver = "simulated"\nreadout_ms = -3', "rig.toml, line 9, camera.readout_ms: found -3, expected 0 or more."),
+        ('[camera]\ndriver = "simulated"', '[camera]\ndriver = "simulated"\nreadout_ms = "3"', "rig.toml, line 9, camera.readout_ms: found '3', expected a number without quotes."),
         ('[camera]\ndriver = "simulated"', '[camera]\ndriver = "replay"', "rig.toml, replay: it is missing; expected a table [replay] with session"),
-        ('rig = "article"', "rig = 3", "rig.toml, line 5, simulated.rig: found 3; input should be a valid string."),
+        ('rig = "article"', "rig = 3", "rig.toml, line 5, simulated.rig: found 3, expected text in quotes."),
         ('rig = "article"', "seed = -1", "rig.toml, line 5, simulated.seed: found -1"),
         ('rig = "article"', "real = true", "rig.toml, line 5, simulated.real: there is no such key; expected one of rig, seed, real_time."),
-        ("[laser]", "[laser", "rig.toml, line 13: this is not valid TOML"),
+        ("[laser]", "[laser", "rig.toml, line 13: this is not valid TOML: found [laser; a table begins with [laser]"),
+        ('rig = "article"', "rig = article", 'rig.toml, line 5: this is not valid TOML: found rig = article; text stands in quotes: rig = "article".'),
     ],
 )  # fmt: skip
 def test_a_mistake_is_named_with_its_place(old, new, said):
@@ -56,6 +57,21 @@ def test_all_mistakes_are_named_at_once():
     with pytest.raises(RigError) as error:
         parsed(text.replace("[laser]", "[laser]\npower = 3"))
     assert len(str(error.value).splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [
+        ("[10, 0]", "line 4, turntable: limits_deg are [10.0, 0.0]; the first has to be the smaller one."),
+        ("[10]", "line 8, turntable.limits_deg: the list is too short, a value is missing."),
+        ("5", "line 8, turntable.limits_deg: found 5, expected a list in brackets: [..., ...]."),
+    ],
+)
+def test_mistakes_in_a_list(limits, said):
+    text = 'version = 1\n[camera]\ndriver = "uvc"\n[turntable]\ndriver = "manual"\nresolution_deg = 0.1\nu_angle_deg = 0.1\n'
+    with pytest.raises(RigError) as error:
+        parsed(f"{text}limits_deg = {limits}\n")
+    assert str(error.value) == f"rig.toml, {said}"
 
 
 def test_keys_of_inner_tables_are_listed():

@@ -30,20 +30,22 @@ def refused(text, source="plan.toml"):
             "wavelength_nm = 650.0\nf = 1",
             "line 9, optics.f: there is no such key; expected one of f_number, pixel_pitch_um, wavelength_nm, speckle_contrast.",
         ),
-        ("f_number = 5.6", "f_number = -5.6", "line 6, optics.f_number: found -5.6; input should be greater than 0."),
+        ("f_number = 5.6", "f_number = -5.6", "line 6, optics.f_number: found -5.6, expected more than 0."),
         ("poses = 20", "pose = 20", "line 30, captures[1].pose: there is no such key; expected one of folder, role, from_deg"),
-        ("poses = 20", "poses = 0", "line 30, captures[1].poses: found 0; input should be greater than or equal to 1."),
-        ("poses = 20", "poses = 2.5", "line 30, captures[1].poses: found 2.5; input should be a valid integer"),
+        ("poses = 20", "poses = 0", "line 30, captures[1].poses: found 0, expected 1 or more."),
+        ("poses = 20", "poses = 2.5", "line 30, captures[1].poses: found 2.5, expected a whole number."),
         ('role = "axis"', 'role = "axes"', "line 40, captures[3].role: found 'axes', expected camera, laser-plane, axis, artifact or scan."),
-        ("step_deg = 2.0", 'step_deg = "2"', "line 44, captures[3].step_deg: found '2'; input should be a valid number."),
+        ("step_deg = 2.0", 'step_deg = "2"', "line 44, captures[3].step_deg: found '2', expected a number without quotes."),
         ("step_deg = 2.0", "step_deg = 0.0001", "captures[3].step_deg: found 0.0001, expected at least 0.0004"),
         ("step_deg = 2.0", "step_deg = nan", "line 44, captures[3].step_deg: found nan"),
-        ("step_deg = 2.0", "step_deg =", "line 44: this is not valid TOML"),
-        ('folder = "ball"', 'folder = "a/b"', "line 59, captures[6].folder: found 'a/b'; string should match pattern"),
+        ("step_deg = 2.0", "step_deg =", "line 44: this is not valid TOML: found step_deg =; the value is missing: expected step_deg = ..., or leave the line out."),
+        ('folder = "ball"', "folder = ball", 'line 59: this is not valid TOML: found folder = ball; text stands in quotes: folder = "ball".'),
+        ('folder = "ball"', 'folder = "the ball"', "line 59, captures[6].folder: found 'the ball', expected a name without blanks and slashes"),
+        ('folder = "ball"', 'folder = "a/b"', "line 59, captures[6].folder: found 'a/b', expected a name without blanks and slashes"),
         ('folder = "rod"', 'folder = "ball"', "line 65, captures[7].folder: 'ball' is the folder of an earlier capture; rename it."),
         ('folder = "camera"', 'folder = "reference"', "line 27, captures[1].folder: 'reference' is taken by the program; rename it."),
         ('target = "dots"', 'target = "dotz"', "line 35, captures[2].target: found 'dotz', expected the name of a table under [targets]"),
-        ("pitch = 4.0", "pitch = -4", "line 13, targets.checkerboard.pitch: found -4; input should be greater than 0."),
+        ("pitch = 4.0", "pitch = -4", "line 13, targets.checkerboard.pitch: found -4, expected more than 0."),
         ("pitch = 4.0", "pitch = 4.0\nnote = 1", "line 14, targets.checkerboard.note: there is no such key"),
         ("pitch = 4.0", "", "targets.checkerboard.pitch: it is missing"),
         ('kind = "dots"', 'kind = "dot"', "line 16, targets.dots.kind: found 'dot', expected one of checkerboard, dots"),
@@ -57,6 +59,14 @@ def test_a_mistake_is_named_with_its_place(old, new, said):
     message = refused(ARTICLE.replace(old, new, 1))
     assert said in message
     assert all(line.startswith("plan.toml, ") for line in message.splitlines())
+
+
+def test_a_single_table_in_place_of_several_is_recognised():
+    message = refused(SCAN.replace("[[captures]]", "[captures]"))
+    assert (
+        message
+        == "plan.toml, line 2, captures: found a table, expected tables, each opened by [[captures]] in double brackets."
+    )
 
 
 def test_all_mistakes_are_named_at_once():
@@ -73,16 +83,18 @@ def test_all_mistakes_are_named_at_once():
         ("to_deg = 0.0", "to_deg: found 0, expected up to 360 deg"),
         ("bracket = [1.0, 1.0]", "bracket: found [1.0, 1.0], expected different factors."),
         ("bracket = []", "bracket: found []"),
-        ("bracket = [0.0]", "bracket[1]: found 0.0; input should be greater than 0."),
+        ("bracket = [0.0]", "bracket[1]: found 0.0, expected more than 0."),
         ("speed_deg_s = 3.0", "speed_deg_s: this key says nothing for mode \"step\"; remove it."),
         ('mode = "continuous"\nlaser_off_frames = true', 'laser_off_frames: this needs a table that stands for each frame; expected mode = "step".'),
         ('mode = "continuous"\nreference_every = 3', "reference_every: this needs a table that stands"),
         ('mode = "continuous"\nshuffle = true', "shuffle: this needs a table that stands"),
         ('mode = "continuous"\nbracket = [1.0, 2.0]', "bracket: several exposures need a table that stands"),
-        ('exposure_on_us = "automatic"', "exposure_on_us: found 'automatic', expected auto."),
-        ("exposure_on_us = 0.0", "exposure_on_us: found 0.0; input should be greater than 0."),
+        ('exposure_on_us = "automatic"', "exposure_on_us: found 'automatic', expected a number without quotes, or \"auto\"."),
+        ("exposure_on_us = 0.0", "exposure_on_us: found 0.0, expected more than 0, or \"auto\"."),
         ("laser_power = 1.5", "laser_power: found 1.5"),
         ("reference_every = -1", "reference_every: found -1"),
+        ('laser_off_frames = "yes"', "laser_off_frames: found 'yes', expected true or false without quotes."),
+        ("bracket = []", "bracket: found [], expected at least 1 of them."),
     ],
 )  # fmt: skip
 def test_contradictions_are_named(fields, said):
