@@ -276,6 +276,19 @@ def test_ctrl_c_keeps_what_was_taken_and_the_same_command_goes_on(place, quick, 
     assert len(worlds) == 3
 
 
+def test_another_plan_for_the_same_session_is_refused_with_what_differs(place, quick, take):
+    with pytest.MonkeyPatch.context() as patch:
+        _raises_at(patch, 3, KeyboardInterrupt())
+        assert take().code == 130
+    text = (place / "plan.toml").read_text()
+    (place / "plan.toml").write_text(text.replace("poses = 6", "poses = 5"))
+    ended = take()
+    assert ended.code == 2
+    assert "poses: 6 then, 5 now" in ended.err
+    (place / "plan.toml").write_text("# begun on Monday\n" + text)
+    assert take().code == 0
+
+
 def test_a_defect_of_a_driver_leaves_the_rig_dark(place, quick, worlds, monkeypatch, take):
     _raises_at(monkeypatch, 17, ZeroDivisionError("division by zero"))
     assert take().err.count("This is a defect of the program") == 1
@@ -349,8 +362,8 @@ def test_a_terminal_that_is_closed_does_not_end_what_was_started_to_ignore_it(re
         (["acquire", "none.toml", "plan.toml", "out"], 2, "none.toml: the rig file cannot be read"),
         (["acquire", "world.toml", "plan.toml", "out"], 2, "this describes a rig to be simulated, not devices"),
         (["acquire", "--toml"], 2, "`rotaline acquire --plan article --toml`"),
-        (["acquire", "rig.toml", "plan.toml", "."], 4, "exists already, and is no session that an acquisition began"),
-        (["acquire", "rig.toml", "plan.toml", "rig.toml"], 4, "exists already, and is no session"),
+        (["acquire", "rig.toml", "plan.toml", "."], 2, "exists already, and is no session that an acquisition began"),
+        (["acquire", "rig.toml", "plan.toml", "rig.toml"], 2, "exists already, and is no session"),
     ],
 )
 def test_wrong_use(call, place, monkeypatch, given, code, said):

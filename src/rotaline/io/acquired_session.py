@@ -21,6 +21,7 @@ from typing import Any
 
 from rotaline.errors import OutputError, SessionError
 from rotaline.io.files import held_alone, whole_file
+from rotaline.io.plan_differences import require_same_plan
 from rotaline.io.session_access import FRAMES_FILE
 from rotaline.io.session_file import SESSION_FILE
 from rotaline.vision.images import image_size
@@ -88,7 +89,7 @@ class AcquiredSession:
     Parameters
     ----------
     path : the session folder; made if it is not there
-    plan_text, rig_text : kept beside the frames; an unfinished session goes on only with the plan that it was begun with
+    plan_text, rig_text : kept beside the frames; an unfinished session goes on only with the plan that it was begun with, comments aside
 
     Attributes
     ----------
@@ -96,8 +97,10 @@ class AcquiredSession:
 
     Raises
     ------
+    SessionError
+        If the folder is no session that an acquisition began, or belongs to another plan.
     OutputError
-        If the folder cannot be written, is no session that an acquisition began, belongs to another plan, or another program holds it.
+        If the folder cannot be written, or another program holds it.
     """
 
     def __init__(self, path: Path, plan_text: str, rig_text: str) -> None:
@@ -105,7 +108,7 @@ class AcquiredSession:
         self._own = path / ACQUISITION
         with _in_words(path):
             if path.exists() and not _may_go_on(path):
-                raise OutputError(
+                raise SessionError(
                     f"{path}: exists already, and is no session that an acquisition began. Choose another place for the session."
                 )
             self._own.mkdir(parents=True, exist_ok=True)
@@ -135,9 +138,7 @@ class AcquiredSession:
             for folder in (self._own, self.path, self.path.parent):
                 _sync_folder(folder)
         if plan.read_bytes() != plan_text.encode():
-            raise OutputError(
-                f"{self.path}: this session was begun with another plan. Go on with that one ({plan}), or choose another place."
-            )
+            require_same_plan(self.path, plan, plan_text)
         events = self._own / _EVENTS
         if events.exists():
             _cut_to_lines(events)

@@ -185,9 +185,9 @@ def test_short_writes_are_continued(session, monkeypatch):
 def test_a_folder_of_something_else_is_refused(tmp_path):
     (tmp_path / "s").mkdir()
     (tmp_path / "s/notes.txt").write_text("mine")
-    with pytest.raises(OutputError, match="exists already, and is no session that an acquisition began"):
+    with pytest.raises(SessionError, match="exists already, and is no session that an acquisition began"):
         opened(tmp_path / "s")
-    with pytest.raises(OutputError, match="exists already"):
+    with pytest.raises(SessionError, match="exists already"):
         opened(tmp_path / "s/notes.txt")
     assert [p.name for p in (tmp_path / "s").iterdir()] == ["notes.txt"]
 
@@ -204,15 +204,59 @@ def test_an_empty_folder_and_one_that_was_hardly_begun_are_taken(tmp_path):
     assert not (tmp_path / "s").exists(), "nothing was put into it"
 
 
+BALL = '[[captures]]\nfolder = "ball"\nrole = "scan"\nstep_deg = 2.0\n'
+ROD = '[[captures]]\nfolder = "rod"\nrole = "scan"\n'
+
+
 def test_plan_and_rig_are_kept(tmp_path):
-    with opened(tmp_path / "s", "plan\r\nä", "rig") as session:
+    plan = "version = 1\r\n# ä\n" + BALL
+    with opened(tmp_path / "s", plan, "rig") as session:
         session.remember("ball.exposure_on_us", 1.0)
-    assert (tmp_path / "s/acquisition/plan.toml").read_bytes() == "plan\r\nä".encode()
-    with opened(tmp_path / "s", "plan\r\nä", "another") as session:
+    assert (tmp_path / "s/acquisition/plan.toml").read_bytes() == plan.encode()
+    with opened(tmp_path / "s", plan, "another") as session:
         assert not session.same_rig
-    with pytest.raises(OutputError, match="begun with another plan"):
-        opened(tmp_path / "s", "plan\nä")
-    opened(tmp_path / "s", "plan\r\nä").close()  # what was refused holds nothing
+    with pytest.raises(SessionError, match="begun with another plan"):
+        opened(tmp_path / "s", plan + ROD)
+    opened(tmp_path / "s", plan).close()  # what was refused holds nothing
+    opened(tmp_path / "s", "version = 1\n" + BALL + "# only a comment").close()
+    assert (tmp_path / "s/acquisition/plan.toml").read_bytes() == plan.encode()
+
+
+@pytest.mark.parametrize(
+    ("now", "said"),
+    [
+        (BALL.replace("2.0", "4.0") + ROD, ["capture 'ball', step_deg: 2.0 then, 4.0 now"]),
+        (BALL + ROD + "frames = 3\n", ["capture 'rod', frames: not stated then, 3 now"]),
+        (BALL, ["capture 'rod': not in the new plan"]),
+        (BALL + ROD + ROD.replace("rod", "cone"), ["capture 'cone': only in the new plan"]),
+        (ROD + BALL, ["the order of the captures"]),
+        (
+            "home = false\n" + BALL + ROD + '[targets.board]\nkind = "dots"\n[[measurements]]\nfeature = "sphere"\n',
+            [
+                "home: not stated then, False now",
+                "targets.board.kind: not stated then, 'dots' now",
+                "measurements[1].feature: not stated then, 'sphere' now",
+            ],
+        ),
+    ],
+)
+def test_what_another_plan_says_differently_is_named(tmp_path, now, said):
+    with opened(tmp_path / "s", BALL + ROD) as session:
+        session.remember("ball.exposure_on_us", 1.0)
+    with pytest.raises(SessionError) as error:
+        opened(tmp_path / "s", now)
+    first, *differences, go_on, begin = str(error.value).splitlines()
+    assert first == f"{tmp_path / 's'}: this session was begun with another plan. What differs:"
+    assert differences == [f"  {line}" for line in said]
+    assert go_on.endswith(f"the plan that it was begun with: {tmp_path / 's/acquisition/plan.toml'}")
+    assert "choose another folder" in begin
+
+
+def test_of_many_differences_some_are_named(tmp_path):
+    with opened(tmp_path / "s", BALL) as session:
+        session.remember("ball.exposure_on_us", 1.0)
+    with pytest.raises(SessionError, match="and 3 more"):
+        opened(tmp_path / "s", BALL + "".join(ROD.replace("rod", f"rod-{i}") for i in range(11)))
 
 
 def test_one_program_at_a_time(tmp_path):

@@ -32,6 +32,7 @@ from rotaline.errors import (
     LostFrameError,
     OutputError,
     RigError,
+    SessionError,
 )
 from rotaline.hardware.camera import CameraFrame, CameraInfo, CameraSettings
 from rotaline.hardware.simulated import world as world_module
@@ -441,10 +442,7 @@ def test_zeros_that_a_power_cut_left_at_the_end_are_cut_off(tmp_path):
 
 def test_another_plan_and_another_rig(tmp_path):
     start(tmp_path / "s", TARGETS + AXIS)
-    with pytest.raises(
-        OutputError,
-        match=r"was begun with another plan\. Go on with that one \(.*plan\.toml\), or choose another place",
-    ):
+    with pytest.raises(SessionError, match=r"begun with another plan(?s:.*)capture 'ball': only in the new plan"):
         start(tmp_path / "s", TARGETS + AXIS + BALL)
     heard = Heard()
     start(tmp_path / "s", TARGETS + AXIS, heard=heard, rig_text="another rig")
