@@ -24,6 +24,7 @@ from rotaline.io.session_access import FRAMES_FILE
 from rotaline.pipeline.acquire.acquire import Acquired
 from rotaline.pipeline.acquire.sighting import stripe_level
 from rotaline.pipeline.acquire.taking import FrameTaken
+from rotaline.pipeline.acquire.tasks import wanted_images
 from rotaline.pipeline.observer import LOG
 
 _LEVEL_EVERY_S = 0.25
@@ -272,7 +273,7 @@ def summary(acquired: Acquired, plan: PlanTables, seconds: float) -> Group:
         "capture", "role", "frames", "angles or poses", "exposure", box=None, padding=(0, 2, 0, 0), header_style="bold"
     )
     for capture in plan.captures:
-        rows = _rows(acquired.path / capture.folder / FRAMES_FILE)
+        rows = _rows(acquired.path / capture.folder, capture)
         angles = sorted(float(r["angle_deg"]) for r in rows if r["angle_deg"])
         places = (
             f"{angles[0]:.2f} to {angles[-1]:.2f} deg"
@@ -294,8 +295,12 @@ def summary(acquired: Acquired, plan: PlanTables, seconds: float) -> Group:
     return Group(table, Text(""), Text(", ".join(parts) + ".", style="bold"))
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
-    if not path.exists():
+def _rows(folder: Path, capture: PlanCapture) -> list[dict[str, str]]:
+    """The rows of the frames that are there and are those of the plan."""
+    if not (folder / FRAMES_FILE).exists():
         return []
-    with path.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+    with (folder / FRAMES_FILE).open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    listed = [row["image"] for row in rows]
+    wanted = wanted_images(capture, listed, [image for image in listed if (folder / image).exists()])
+    return [row for row in rows if row["image"] in wanted]

@@ -4,6 +4,7 @@ import contextlib
 import io
 import os
 import pty
+import re
 import sys
 from dataclasses import replace
 
@@ -342,6 +343,17 @@ def test_the_summary_counts_what_is_in_the_folder(tmp_path):
         assert part in text, part
     assert "frame 4 of 4" not in text
     assert isinstance(result, Acquired)
+
+
+def test_an_image_that_was_lost_and_taken_again_counts_once(tmp_path):
+    Bench(tmp_path, BALL).take({})
+    (tmp_path / "session/ball/0001.png").unlink()
+    bench = Bench(tmp_path, BALL)
+    result = bench.take({})
+    assert len((tmp_path / "session/ball/frames.csv").read_text().splitlines()) == 1 + 5
+    text = _shown(summary(result, bench.plan.tables, 65.0))
+    assert re.search(r"ball +scan +4 ", text), text
+    assert "4 frames in 0:01:05, 3 of them by an earlier start." in text
 
 
 # the terminal itself

@@ -43,7 +43,7 @@ from rotaline.io.plan_tables import PlanCapture
 from rotaline.io.session import read_session
 from rotaline.pipeline.acquire.exposure import STRIPE_LEVEL, WHITE_LEVEL, better_exposure, expose_scene, expose_stripe
 from rotaline.pipeline.acquire.stand_ins import SimulatedPerson
-from rotaline.pipeline.acquire.tasks import missing_stops, n_frames, stops_of, unfinished_pose
+from rotaline.pipeline.acquire.tasks import missing_stops, n_frames, stops_of, unfinished_pose, wanted_images
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -106,6 +106,16 @@ def test_a_pose_that_lost_a_frame_is_taken_again_as_a_pose_of_its_own():
     assert {task.pose for task in stop.tasks} == {"1-2"}
     again = [*ALL, "0002-2.png", "0003-2.png"]
     assert missing_stops(POSED, again, set(again) - {"0003.png"}) == []
+
+
+def test_what_was_lost_and_taken_again_counts_once():
+    assert wanted_images(TURNED, ALL, ALL) == set(ALL)
+    again = [*ALL, "0001-2.png"]
+    assert wanted_images(TURNED, again, set(again) - {"0001.png"}) == {*ALL, "0001-2.png"} - {"0001.png"}
+    assert wanted_images(TURNED, again, again) == set(ALL)  # it was damaged, and is there
+    assert wanted_images(POSED, ALL, set(ALL) - {"0003.png"}) == set(ALL) - {"0002.png", "0003.png"}
+    again = [*ALL, "0002-2.png", "0003-2.png"]
+    assert wanted_images(POSED, again, set(again) - {"0003.png"}) == set(again) - {"0002.png", "0003.png"}
 
 
 @pytest.mark.parametrize(
@@ -385,9 +395,10 @@ def test_a_pose_that_was_not_finished_is_taken_whole(tmp_path):
     table = tmp_path / "half/laser/frames.csv"
     table.write_bytes(b"".join(table.read_bytes().splitlines(keepends=True)[:6]))
     heard = Heard()
-    start(tmp_path / "half", TARGETS + LASER, heard=heard)
+    done = start(tmp_path / "half", TARGETS + LASER, heard=heard)
+    assert (done.n_frames, done.n_before) == (9, 3)
     assert "laser: pose 2 was not finished; all its frames are taken again." in heard.notes
-    assert heard.notes[0] == "5 of 9 frames are there already; it goes on with the first that is missing."
+    assert heard.notes[0] == "3 of 9 frames are there already; it goes on with the first that is missing."
     start(tmp_path / "s", TARGETS + LASER)
     assert content(tmp_path / "half") == content(tmp_path / "s")
 

@@ -26,7 +26,15 @@ from rotaline.pipeline.acquire.continuous import (
 from rotaline.pipeline.acquire.person import Person
 from rotaline.pipeline.acquire.requirements import require_devices
 from rotaline.pipeline.acquire.taking import FrameTaken, Taker, Watch
-from rotaline.pipeline.acquire.tasks import FrameTask, Stop, missing_stops, n_frames, stops_of, unfinished_pose
+from rotaline.pipeline.acquire.tasks import (
+    FrameTask,
+    Stop,
+    missing_stops,
+    n_frames,
+    stops_of,
+    unfinished_pose,
+    wanted_images,
+)
 from rotaline.pipeline.observer import Observer
 
 HOMING_S = 300.0
@@ -42,7 +50,7 @@ _Keep = Callable[[CameraFrame, float, float | None], None]
 
 @dataclass(frozen=True)
 class Acquired:
-    """What an acquisition has come to: ``n_frames`` are listed, ``n_before`` of them by earlier starts."""
+    """What an acquisition has come to: ``n_frames`` of the plan are there, ``n_before`` of them by earlier starts."""
 
     path: Path
     n_frames: int
@@ -164,7 +172,7 @@ class _Run:
 
     def _say_found(self) -> int:
         found = self._found
-        n_before = sum(len(found.rows[c.folder]) for c in self._captures)
+        n_before = sum(len(self._wanted(c)) for c in self._captures)
         for text in found.repaired:
             self._observer.note(text)
             self._taker.event("repaired", text)
@@ -184,7 +192,7 @@ class _Run:
         return n_before
 
     def _left(self, capture: PlanCapture) -> tuple[tuple[_Row, ...], tuple[str, ...]]:
-        """The rows and names that an earlier start has left; of a pose that was not finished, none."""
+        """What an earlier start has left: rows of frames that need not be taken again, names of all; of a pose that was not finished, none."""
         rows, listed = self._found.rows[capture.folder], self._found.listed[capture.folder]
         index, n_rows = unfinished_pose(capture, listed)
         if n_rows:
@@ -193,7 +201,12 @@ class _Run:
             self._observer.note(text)
             self._taker.event("repaired", text)
             listed = listed[:-n_rows]
-        return tuple(row for row in rows if row["image"] in listed), listed
+        wanted = self._wanted(capture)
+        return tuple(row for row in rows if row["image"] in wanted), listed
+
+    def _wanted(self, capture: PlanCapture) -> set[str]:
+        rows = self._found.rows[capture.folder]
+        return wanted_images(capture, self._found.listed[capture.folder], {row["image"] for row in rows})
 
     def _prepare(self, capture: PlanCapture, n_done: int) -> None:
         """Everything stands where it should when this returns; nobody works in the light of the laser."""

@@ -1,7 +1,7 @@
 """What a capture of a plan consists of, frame by frame; complete before anything is taken. And what of it is still missing."""
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from rotaline.io.plan_file import TURNING, angles_of, poses_of
@@ -89,25 +89,60 @@ def missing_stops(capture: PlanCapture, listed: Sequence[str], whole: Collection
     >>> [stop.tasks[0].image for stop in missing_stops(ball, ["0000.png", "0001.png"], {"0000.png"})]
     ['0001-2.png', '0002.png', '0003.png']
     """
-    alone, known = capture.role in TURNING, set(listed)
+    known = set(listed)
     left = []
     for stop in stops_of(capture):
-        groups = [(task,) for task in stop.tasks] if alone else [stop.tasks]
-        tasks = [task for group in groups for task in _again(group, known, whole)]
+        tasks = [task for group in _groups(capture, stop) for task in _again(group, known, whole)]
         if tasks:
             left.append(replace(stop, tasks=tuple(tasks)))
     return left
 
 
-def _again(tasks: tuple[FrameTask, ...], listed: Collection[str], whole: Collection[str]) -> tuple[FrameTask, ...]:
-    """Frames that belong together, under names that are not taken; none if they are there under one of their names."""
+def wanted_images(capture: PlanCapture, listed: Collection[str], whole: Collection[str]) -> set[str]:
+    """The images that are there and are those of the plan: what was lost and taken again counts once, half a pose does not count.
+
+    Parameters
+    ----------
+    capture : PlanCapture
+    listed : names of the images that the table lists
+    whole : names of those that are there
+
+    Examples
+    --------
+    >>> plane = PlanCapture(folder="laser", role="laser-plane", poses=1)
+    >>> sorted(wanted_images(plane, ["0000.png", "0001.png", "0000-2.png", "0001-2.png"], ["0001.png", "0000-2.png", "0001-2.png"]))
+    ['0000-2.png', '0001-2.png']
+    """
+    if capture.mode == "continuous":  # frames are numbered as they come
+        return set(whole)
+    known = set(listed)
+    return {
+        task.image for stop in stops_of(capture) for g in _groups(capture, stop) for task in _there(g, known, whole)
+    }
+
+
+def _groups(capture: PlanCapture, stop: Stop) -> list[tuple[FrameTask, ...]]:
+    """The frames of a stop that have to be taken together."""
+    return [(task,) for task in stop.tasks] if capture.role in TURNING else [stop.tasks]
+
+
+def _attempts(tasks: tuple[FrameTask, ...], listed: Collection[str]) -> Iterator[tuple[FrameTask, ...]]:
+    """Frames that belong together under the names that they have had, and last under names that are not taken."""
     for attempt in itertools.count(1):
         these = tasks if attempt == 1 else tuple(_renamed(task, attempt) for task in tasks)
-        if all(task.image in whole for task in these):
-            return ()
+        yield these
         if not any(task.image in listed for task in these):
-            return these
-    raise AssertionError("unreachable")
+            return
+
+
+def _there(tasks: tuple[FrameTask, ...], listed: Collection[str], whole: Collection[str]) -> tuple[FrameTask, ...]:
+    """Frames that belong together, under the first names under which all are there; none if there are none."""
+    return next((these for these in _attempts(tasks, listed) if all(task.image in whole for task in these)), ())
+
+
+def _again(tasks: tuple[FrameTask, ...], listed: Collection[str], whole: Collection[str]) -> tuple[FrameTask, ...]:
+    """Frames that belong together, under names that are not taken; none if they are there under one of their names."""
+    return () if _there(tasks, listed, whole) else list(_attempts(tasks, listed))[-1]
 
 
 def _renamed(task: FrameTask, attempt: int) -> FrameTask:
