@@ -97,7 +97,7 @@ def test_an_angle_far_off_is_believed_only_when_it_is_typed_twice(table, person)
     assert table.move_to(30.0, 1.0) == 30.0
     assert "300 deg is +270 deg off" in person.questions[-1]
     person.answers = ["25", "25"]
-    assert table.move_to(30.0, 1.0) == 25.0
+    assert table.move_to(40.0, 1.0) == 25.0
 
 
 @pytest.mark.parametrize("typed", ["thirty", "nan", "inf", "401"])
@@ -123,6 +123,34 @@ def test_where_it_stands_is_not_known_before_somebody_has_said_so(table, person)
         table.move_to(60.0, 1.0)
     with pytest.raises(DeviceStateError, match="not known"):
         table.angle_deg()
+
+
+def test_nobody_is_asked_for_the_angle_at_which_it_stands(table, person):
+    table.home(1.0)
+    assert table.move_to(0.0, 1.0) == 0.0
+    person.answers = ["30.05"]
+    assert table.move_to(30.0, 1.0) == 30.05
+    assert len(person.questions) == 2
+    assert table.move_to(30.0, 1.0) == 30.05  # as near to it as can be read
+    assert table.move_to(30.05, 1.0) == 30.05
+    assert len(person.questions) == 2
+    table.move_to(30.1, 1.0)  # a step that is smaller than what can be read
+    assert len(person.questions) == 3
+    person.answers = ["25", "25"]
+    assert table.move_to(60.0, 1.0) == 25.0
+    table.move_to(60.0, 1.0)  # it is not there
+    assert "turn it to 60.000 deg" in person.questions[-1]
+
+
+def test_a_move_or_a_home_that_was_broken_off_is_asked_for_again(table, person):
+    for move in (lambda: table.move_to(30.0, 1.0), lambda: table.home(1.0)):
+        table.move_to(0.0, 1.0)
+        person.answers = [KeyboardInterrupt()]
+        with pytest.raises(KeyboardInterrupt):
+            move()
+        n = len(person.questions)
+        table.move_to(0.0, 1.0)
+        assert len(person.questions) == n + 1
 
 
 def test_the_time_for_settling_is_waited(connections, clock):

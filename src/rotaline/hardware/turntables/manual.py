@@ -44,6 +44,7 @@ class ManualTurntable:
         self._ask = ask
         self._clock = clock
         self._angle: float | None = None
+        self._asked_for: float | None = None
         self._closed = False
         self._info = TurntableInfo(
             device=settings.name,
@@ -62,14 +63,16 @@ class ManualTurntable:
     def home(self, timeout_s: float) -> None:
         """See :class:`~rotaline.hardware.turntable.Turntable`."""
         self._check_open()
+        self._angle = None
         self._question(f"{self._settings.name}: turn it to its mark 0, then press Enter:")
-        self._angle = 0.0
+        self._angle = self._asked_for = 0.0
         self._clock.wait(self._settings.settle_s)
 
     def move_to(self, angle_deg: float, timeout_s: float) -> float:
         """See :class:`~rotaline.hardware.turntable.Turntable`; the angle is the one that was typed, or, after a bare Enter, the one asked for.
 
-        A typed angle that is farther from the one asked for than the resolution is believed only when it is typed twice.
+        A typed angle that is farther from the one asked for than the resolution is believed only when it is typed twice. Nobody is asked for the
+        angle at which it stands already: the one that was typed, or the one that was asked for before and reached as well as can be read.
         """
         self._check_open()
         if not self._within(angle_deg):
@@ -78,8 +81,10 @@ class ManualTurntable:
                 f"{self._info.device}: {angle_deg:g} deg is outside of its limits, {least:g} to {most:g} deg; nobody was asked to turn it."
                 " Choose an angle within, or correct limits_deg in rig.toml."
             )
+        if self._angle is not None and self._stands_at(angle_deg, self._angle):
+            return self._angle
         self._angle = None  # while it is being turned, and if the person breaks off
-        self._angle = self._asked(angle_deg)
+        self._angle, self._asked_for = self._asked(angle_deg), angle_deg
         self._clock.wait(self._settings.settle_s)
         return self._angle
 
@@ -129,6 +134,10 @@ class ManualTurntable:
             else:
                 doubtful = read
                 question = f"{read:g} deg is {read - angle_deg:+g} deg off. Type it again if that is so, or turn it to {angle_deg:.3f} deg and press Enter:"
+
+    def _stands_at(self, wanted_deg: float, angle_deg: float) -> bool:
+        reached = wanted_deg == self._asked_for and abs(angle_deg - wanted_deg) <= self._settings.resolution_deg
+        return reached or wanted_deg == angle_deg
 
     def _within(self, angle_deg: float) -> bool:
         least, most = self._settings.limits_deg or (-math.inf, math.inf)
