@@ -28,6 +28,7 @@ from rotaline.pipeline.acquire.guidance import (
     followed,
     full_look,
     judged,
+    moved_meanwhile,
     stripe_seen,
 )
 from rotaline.pipeline.acquire.person import Preview
@@ -181,12 +182,15 @@ class TerminalPerson:
                         self._crossed(capture, seen, frame)
                     return
 
-    def judge(self, capture: PlanCapture, index: int, frame: CameraFrame) -> str | None:
-        """Refuse a frame in which the target is not found or that is blurred by motion."""
+    def judge(self, capture: PlanCapture, index: int, frame: CameraFrame, preview: Preview) -> str | None:
+        """Refuse a frame in which the target is not found or that is blurred by motion, and a pair of frames between which it moved."""
         if self._keys is None:
             return None
-        seen = full_look(frame, target_of(self._plan, capture))
+        target = target_of(self._plan, capture)
+        seen = full_look(frame, target)
         why = judged(seen)
+        if why is None and capture.role == "laser-plane":
+            why = moved_meanwhile(seen, full_look(preview(), target))
         if why is not None:
             return why
         assert seen.detection is not None

@@ -232,6 +232,34 @@ def test_the_stripe_has_to_run_over_the_plate(tmp_path):
     assert "stripe seen" in _shown(bench.screen.shown[-1])
 
 
+def test_a_plate_that_moves_while_the_laser_is_on_is_taken_again(tmp_path):
+    bench = Bench(tmp_path, LASER)
+    world, moved = bench.world, []
+
+    class Pushed(Hands):
+        """The first time that a pose has been taken, the plate does not stand where it stood in the first frame."""
+
+        def judge(self, capture, index, frame, preview):
+            if not moved:
+                moved.append(world.hold(2))
+            return super().judge(capture, index, frame, preview)
+
+    class Script(list):
+        def __getitem__(self, index):
+            return [lambda: world.hold(3 if index else 0)]
+
+    person = Pushed(bench, {"laser": Script()}, NoKeys)
+    with bench.rig:
+        result = acquire(bench.plan, SIMULATED_RIG, bench.rig, bench.out, person, bench.screen, bench.screen.watch)
+    assert result.n_frames == 4
+    said = " ".join(bench.screen.text.split())
+    assert re.search(
+        r"Pose 1: the target moved by \d+\.\d px between .* up to 0.4 px are good. .* It is taken again.", said
+    )
+    assert said.count("is taken again") == 1
+    assert "Pose 2 of 2 is taken" in said
+
+
 def test_poses_of_an_earlier_start_are_on_the_map(tmp_path):
     bench = Bench(tmp_path, CAMERA)
     world = bench.world

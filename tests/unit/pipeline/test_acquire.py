@@ -318,7 +318,7 @@ def test_a_pose_that_is_refused_is_taken_again(tmp_path):
     world, heard, judged = small_world(), Heard(), []
 
     class Strict(SimulatedPerson):
-        def judge(self, capture, index, frame):
+        def judge(self, capture, index, frame, preview):
             judged.append(index)
             return "It is blurred." if judged.count(1) == 1 and index == 1 else None
 

@@ -15,7 +15,7 @@ from rotaline.io.acquired_session import COLUMNS
 from rotaline.io.plan_file import parse_plan
 from rotaline.pipeline.acquire import guidance
 from rotaline.pipeline.acquire.earlier_poses import earlier_views, target_of
-from rotaline.pipeline.acquire.guidance import Goal, Guide, Rest, followed, judged, zone_name
+from rotaline.pipeline.acquire.guidance import Goal, Guide, Rest, followed, judged, moved_meanwhile, zone_name
 from rotaline.pipeline.acquire.sighting import (
     EDGES,
     crosses,
@@ -125,6 +125,21 @@ def test_a_few_tilted_plates_give_the_focal_length_and_none_gives_a_guess():
     assert focal_px([], SIZE) == 2.0 * SIZE[0]
     distance = Guide("camera", SIZE, 20, tuple(views)).attitudes[0].distance_mm
     assert distance == pytest.approx(DEPTH_MM, rel=0.04)
+
+
+@pytest.mark.parametrize(("shift_px", "refused"), [(0.0, False), (0.2, False), (0.7, True), (5.0, True)])
+def test_frames_between_which_the_target_moved_are_refused(shift_px, refused):
+    before = look(picture(held(DOTS)), DOTS)
+    after = look(picture(held(DOTS, at=(0.5 + shift_px / SIZE[0], 0.5)), seed=2), DOTS)
+    why = moved_meanwhile(before, after)
+    assert (why is not None) == refused
+    if why is not None:
+        assert float(why.split("moved by ")[1].split(" px")[0]) == pytest.approx(shift_px, abs=0.15)
+
+
+def test_a_target_that_was_taken_away_meanwhile_is_noticed():
+    before = look(picture(held(DOTS)), DOTS)
+    assert "not found any more" in moved_meanwhile(before, look(picture(held(DOTS, at=(1.5, 0.5))), DOTS))
 
 
 def test_motion_is_that_of_the_points_however_they_are_numbered(seen):

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rotaline.errors import DeviceError, DeviceStateError, LostFrameError
@@ -263,11 +264,12 @@ class _Run:
             angle = self._move(capture, stop.angle_deg)
             yield from ((task, self._taker.take(capture, task), angle) for task in stop.tasks)
             return
+        preview = partial(self._taker.preview, capture)
         for attempt in range(_POSE_ATTEMPTS):
             self._taker.light(False)
-            self._person.pose(capture, stop.index, lambda: self._taker.preview(capture))
+            self._person.pose(capture, stop.index, preview)
             frames = [(task, self._taker.take(capture, task), None) for task in stop.tasks]
-            why = self._person.judge(capture, stop.index, frames[0][1])
+            why = self._person.judge(capture, stop.index, frames[0][1], preview)
             if why is None:
                 break
             kept = attempt == _POSE_ATTEMPTS - 1

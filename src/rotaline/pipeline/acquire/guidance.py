@@ -350,6 +350,19 @@ def judged(seen: Sighting) -> str | None:
     return None
 
 
+def moved_meanwhile(before: Sighting, after: Sighting) -> str | None:
+    """Why the frames between two sightings are refused: the target is not where it was; None: it is."""
+    if after.detection is None:
+        return f"the target was not found any more after its frames had been taken. {_short(after.missing)}"
+    moved = motion_px(before, after)
+    if moved <= REST_PX:
+        return None
+    return (
+        f"the target moved by {moved:.1f} px between the laser-off frame and the end of the laser-on frame; up to {REST_PX:g} px are good. Prop it up, "
+        "and wait for the bell."
+    )
+
+
 def zone_name(zone: Zone) -> str:
     """A ninth of the picture, in words."""
     column, row = ("left", "middle", "right")[zone[0]], ("upper", "middle", "lower")[zone[1]]

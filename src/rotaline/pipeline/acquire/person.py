@@ -27,8 +27,11 @@ class Person(Protocol):
     def pose(self, capture: PlanCapture, index: int, preview: Preview) -> None:
         """Hold the target in a pose (the first has index 0); returns when the frames of this pose may be taken."""
 
-    def judge(self, capture: PlanCapture, index: int, frame: CameraFrame) -> str | None:
-        """Look at the first frame that was taken of a pose: None, or why the pose is to be taken again."""
+    def judge(self, capture: PlanCapture, index: int, frame: CameraFrame, preview: Preview) -> str | None:
+        """Look at the first frame that was taken of a pose: None, or why the pose is to be taken again.
+
+        ``preview`` shows what there is after the last frame of the pose: whether the target still is where it was.
+        """
 
     def aside(self, name: str) -> AbstractContextManager[None]:
         """What is taken within is none of the plan's frames: a preview, the search for an exposure, a reference."""
@@ -47,7 +50,7 @@ class Nobody:
     def pose(self, capture: PlanCapture, index: int, preview: Preview) -> None:
         """Nothing to do."""
 
-    def judge(self, capture: PlanCapture, index: int, frame: CameraFrame) -> str | None:
+    def judge(self, capture: PlanCapture, index: int, frame: CameraFrame, preview: Preview) -> str | None:
         """Every frame is taken as it is."""
         return None
 

@@ -42,7 +42,7 @@ class SimulatedPerson:
         """Hold the plate in this pose."""
         self._world.hold(index)
 
-    def judge(self, capture: PlanCapture, index: int, frame: CameraFrame) -> str | None:
+    def judge(self, capture: PlanCapture, index: int, frame: CameraFrame, preview: Preview) -> str | None:
         """Every pose is good."""
         return None
 
@@ -80,7 +80,7 @@ class RecordedPerson:
         """Present the pose of this index."""
         self._replay.present(self._replay.capture.poses[index])
 
-    def judge(self, capture: PlanCapture, index: int, frame: CameraFrame) -> str | None:
+    def judge(self, capture: PlanCapture, index: int, frame: CameraFrame, preview: Preview) -> str | None:
         """Every pose is as it was recorded."""
         return None
 
