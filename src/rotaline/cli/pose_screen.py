@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich.measure import Measurement
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
@@ -21,7 +22,15 @@ _LEAST_LINES = _MAP_LINES + 11
 _MOST_PICTURE_LINES = 18
 _LEAST_PICTURE_COLUMNS = 20
 _FIGURES_COLUMNS = 38
-_BESIDE_COLUMNS = 2 * CELLS[0] + 7
+_MAP_COLUMNS = 2 * CELLS[0] + 3
+_FRAME_COLUMNS, _FRAME_LINES = 4, 3
+"""What the frame takes; of the lines, one is that in which the cursor stands."""
+_KEYS = (
+    "Enter: take it as it is    Ctrl-C: end; what was taken is kept",
+    "Enter: take it    Ctrl-C: end",
+    "Enter, Ctrl-C",
+)
+_MOST_MARKS = 3
 _STYLES = {"bad": "bold red", "move": "bold yellow", "hold": "bold green", "take": "bold reverse green"}
 _SCALE_COLUMNS = 24
 
@@ -50,40 +59,48 @@ class PoseScreen:
     advice: Advice
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
-        """As much as the terminal has room for; 80 columns and 24 lines are enough for all of it."""
+        """As much as the terminal has room for; 80 columns and 24 lines are enough for all of it, and what to do now is always there."""
         view = None if self.seen.detection is None else view_of(self.seen.detection)
-        spare = max(0, console.size.height - _LEAST_LINES)
-        picture_rows = min(_MAP_LINES + spare, _MOST_PICTURE_LINES)
-        picture_columns = min(options.max_width - _BESIDE_COLUMNS, round(2 * picture_rows * self._aspect))
-        below = self._tilts() if self.guide.role == "camera" else self._distances(view)
-        body = Table.grid(padding=(0, 3, 0, 0))
-        if picture_columns >= _LEAST_PICTURE_COLUMNS:
-            body.add_column(min_width=_FIGURES_COLUMNS)
-            body.add_column()
-            body.add_row(self._picture(picture_columns), self._map(view))
-            body.add_row(self._figures(view), below)
-        else:
-            for part in (self._figures(view), self._map(view), below):
-                body.add_row(part)
+        within = options.update(width=options.max_width - _FRAME_COLUMNS, height=None)
         style = _STYLES[self.advice.level]
-        lines: list[RenderableType] = [
+        sentences = [
             Text(self.advice.text, style=style),
             Text(
                 f"Wanted: {self.guide.goal.text}.", style="dim" if self.advice.level in ("hold", "take") else "yellow"
             ),
-            body,
         ]
-        if spare:
-            lines.insert(2, Text(""))
+        room = console.size.height - _FRAME_LINES - sum(_n_lines(console, within, text) for text in sentences)
+        below = self._tilts() if self.guide.role == "camera" else self._distances(view)
+        body: list[RenderableType] = []
+        beside = self._beside(within.max_width, max(0, console.size.height - _LEAST_LINES), view, below)
+        if beside is not None and Measurement.get(console, options, beside).maximum <= within.max_width:
+            body = [beside]
+        if not body or _n_lines(console, within, body[0]) > room:
+            body = _that_fit(console, within, room, (self._figures(view), self._map(view), below))
+        if room > sum(_n_lines(console, within, part) for part in body):
+            body.insert(0, Text(""))
         yield Panel(
-            Group(*lines),
+            Group(*sentences, *body),
             title=f"{self.title}: pose {self.index + 1} of {self.guide.n_poses}",
             title_align="left",
-            subtitle="Enter: take it as it is    Ctrl-C: end; what was taken is kept",
+            subtitle=next((keys for keys in _KEYS if len(keys) <= within.max_width), ""),
             subtitle_align="left",
             border_style=style.split()[-1],
             padding=(0, 1),
         )
+
+    def _beside(self, columns: int, spare: int, view: View | None, below: RenderableType) -> Table | None:
+        """The picture beside the map, and the figures below; None where there is no room for a picture."""
+        picture_rows = min(_MAP_LINES + spare, _MOST_PICTURE_LINES)
+        picture_columns = min(columns - _MAP_COLUMNS, round(2 * picture_rows * self._aspect))
+        if picture_columns < _LEAST_PICTURE_COLUMNS:
+            return None
+        table = Table.grid(padding=(0, 3, 0, 0))
+        table.add_column(min_width=_FIGURES_COLUMNS)
+        table.add_column()
+        table.add_row(self._picture(picture_columns), self._map(view))
+        table.add_row(self._figures(view), below)
+        return table
 
     @property
     def _aspect(self) -> float:
@@ -178,7 +195,7 @@ class PoseScreen:
         table.add_row("", Text.assemble("upper ", marks["upper"]), "")
         table.add_row(
             Text.assemble("left ", marks["left"]),
-            Text("edge towards camera", style="dim"),
+            Text("towards camera", style="dim"),
             Text.assemble(marks["right"], " right"),
         )
         table.add_row("", Text.assemble("lower ", marks["lower"]), "")
@@ -213,7 +230,24 @@ def _outer(detection: TargetDetection) -> Float[np.ndarray, "k 2"]:
 
 
 def _marks(n: int, wanted: int) -> str:
-    return "●" * min(n, 5) + "○" * max(0, wanted - n)
+    return "●" * min(n, wanted) + "○" * (wanted - n) if wanted <= _MOST_MARKS else f"{n}/{wanted}"
+
+
+def _n_lines(console: Console, options: ConsoleOptions, what: RenderableType) -> int:
+    return len(console.render_lines(what, options))
+
+
+def _that_fit(
+    console: Console, options: ConsoleOptions, room: int, parts: Sequence[RenderableType]
+) -> list[RenderableType]:
+    """One below the other, those that still fit; the first ones count most."""
+    fitting: list[RenderableType] = []
+    for part in parts:
+        n = _n_lines(console, options, part)
+        if n <= room:
+            fitting.append(part)
+            room -= n
+    return fitting
 
 
 def _place(distance: float, low: float, high: float) -> int:

@@ -308,6 +308,36 @@ def test_a_pose_fits_into_the_terminal_with_all_that_counts(pose_screen, width, 
     assert ("▀" in text) == (width >= 80)
 
 
+@pytest.mark.parametrize(
+    ("width", "height", "parts"),
+    [
+        (80, 20, ("found, 70 of 70 points", "left edge nearer", "upper ●", "right ", "what was taken is kept")),
+        (60, 20, ("found, 70 of 70 points", "left edge nearer", "upper ●", "right ", "Ctrl-C: end ─")),
+        (60, 30, ("found, 70 of 70 points", "measured", "Ctrl-C: end ─")),
+        (40, 12, ("found, 70 of 70 points", "left edge nearer", "Ctrl-C: end ─")),
+        (40, 8, ("Ctrl-C: end ─",)),
+    ],
+)
+def test_a_small_terminal_shows_the_parts_that_count_most(pose_screen, width, height, parts):
+    text = _shown(pose_screen, width, height)
+    lines = text.splitlines()
+    assert max(len(line) for line in lines) <= width
+    assert len(lines) < height
+    for part in ("Good: hold it still", "Wanted: ", "camera.", *parts):
+        assert part in text, part
+
+
+def test_a_pose_fits_however_many_poses_are_tilted(pose_screen):
+    views = pose_screen.guide.views
+    for n_poses in (20, 30):
+        guide = replace(pose_screen.guide, n_poses=n_poses, views=views * 9)
+        text = _shown(replace(pose_screen, guide=guide))
+        assert "▀" in text
+        assert len(text.splitlines()) < 24
+        assert f"upper {'●' * (n_poses // 10)}" in text
+    assert "upper 9/10" in _shown(replace(pose_screen, guide=replace(guide, n_poses=100)))
+
+
 def _taken(k, n=90, level=200, n_retaken=0):
     image = np.zeros((60, 80), np.uint8)
     image[:, 40] = level
