@@ -484,6 +484,32 @@ def test_a_stream_waits_for_the_next_frame(quick):
     assert devices.camera.next_frame(0.1).number == first.number + 1, "the time-out costs no frame"
 
 
+def test_what_nobody_looks_at_is_not_rendered_and_changes_nothing(monkeypatch):
+    rendered = []
+
+    def counted(*args, **kwargs):
+        rendered.append(kwargs["seed"])
+        return render_exposure(*args, **kwargs)
+
+    render_exposure = world_module.render_exposure
+    monkeypatch.setattr(world_module, "render_exposure", counted)
+    images = []
+    for looked_at in ((0, 1, 2, 3), (2,)):
+        devices = Devices()
+        devices.world.set_up("stepped")
+        devices.camera.start()
+        devices.table.turn(20.0)
+        frames = [devices.camera.next_frame(LONG_S) for _ in range(4)]
+        devices.table.stop(LONG_S)
+        devices.world.set_up("stepped")  # what is done afterwards does not show
+        assert not rendered
+        images.append({i: frames[i].image for i in looked_at})
+        assert frames[2].image is images[-1][2]
+        assert len(rendered) == len(looked_at)
+        rendered.clear()
+    np.testing.assert_array_equal(images[0][2], images[1][2])
+
+
 def test_a_full_queue_loses_the_oldest_frames(quick):
     devices = Devices(camera={"queue_frames": 3})
     devices.camera.start()

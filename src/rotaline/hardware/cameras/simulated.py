@@ -1,12 +1,14 @@
 """The camera of the simulated rig: it exposes by the clock and sees what the world shows."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Literal
 
 from pydantic import Field
 
 from rotaline.errors import DeviceConnectionError, DeviceStateError, DeviceTimeoutError, LostFrameError
-from rotaline.hardware.camera import CameraFrame, CameraInfo, CameraSettings, Region
+from rotaline.hardware.camera import CameraFrame, CameraInfo, CameraSettings, Image, Region
 from rotaline.hardware.cameras.checks import check_settings
 from rotaline.hardware.clock import Clock
 from rotaline.hardware.connections import Connections
@@ -39,6 +41,31 @@ class _Stream:
     period_s: float
     first_number: int
     next: int = 0
+
+
+class _RenderedFrame(CameraFrame):
+    """A frame whose image may be a callable that renders the whole sensor, once the image is looked at; most frames of a stream never are."""
+
+    _render: Callable[[], Image]
+
+    def __init__(
+        self,
+        image: Image | Callable[[], Image],
+        number: int,
+        time_s: float,
+        u_time_s: float,
+        settings: CameraSettings,
+    ) -> None:
+        vars(self).update(number=number, time_s=time_s, u_time_s=u_time_s, settings=settings)
+        vars(self)["_render" if callable(image) else "image"] = image
+
+    @cached_property
+    def image(self) -> Image:
+        """The part of the sensor that is read."""
+        region = self.settings.region
+        assert region is not None
+        x, y = region.x, region.y
+        return self._render()[y : y + region.height, x : x + region.width].copy()
 
 
 class SimulatedCamera:
@@ -161,11 +188,8 @@ class SimulatedCamera:
             raise LostFrameError(f"{_DEVICE}: frame {number} arrived in pieces. Take it again.")
         settings = self.settings
         assert settings.gain is not None
-        assert settings.region is not None
-        image = self._world.expose(start_s, settings.exposure_us, settings.gain, streamed=streamed)
-        x, y, width, height = (getattr(settings.region, name) for name in ("x", "y", "width", "height"))
-        cut = image[y : y + height, x : x + width].copy()
-        return CameraFrame(cut, number, start_s + self._exposure_s / 2, 0.0, settings)
+        render = self._world.expose(start_s, settings.exposure_us, settings.gain, streamed=streamed)
+        return _RenderedFrame(render, number, start_s + self._exposure_s / 2, 0.0, settings)
 
 
 def open_device(settings: Settings, clock: Clock, connections: Connections) -> SimulatedCamera:

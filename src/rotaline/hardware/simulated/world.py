@@ -20,9 +20,10 @@ light is added up.
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -246,8 +247,8 @@ class SimulatedWorld:
 
     # what the camera sees
 
-    def expose(self, start_s: float, exposure_us: float, gain: float, *, streamed: bool) -> Image:
-        """The frame of an exposure, which must be over.
+    def expose(self, start_s: float, exposure_us: float, gain: float, *, streamed: bool) -> Callable[[], Image]:
+        """The frame of an exposure, which must be over. It is settled now, and rendered by the callable: most frames of a stream are never looked at.
 
         Parameters
         ----------
@@ -267,16 +268,17 @@ class SimulatedWorld:
         seed = self._fresh_seed(states, round(exposure_us, 3), gain, streamed)
         sensor = replace(self.rig.sensor, gain=self.rig.sensor.gain * gain)
         moments = [self._moment(state, seed) for state in states]
-        return render_exposure(replace(self.rig, sensor=sensor), moments, exposure_ms=exposure_us * 1e-3, seed=seed)
+        rig = replace(self.rig, sensor=sensor)
+        return partial(render_exposure, rig, moments, exposure_ms=exposure_us * 1e-3, seed=seed)
 
-    def _planned_frame(self, state: _State, index: int) -> Image:
+    def _planned_frame(self, state: _State, index: int) -> Callable[[], Image]:
         assert state.setup.capture is not None
         capture = self._captures[state.setup.capture]
         shot = capture.plan.shots[index]
         power = state.laser_power or 0.0
         moment = Moment(_parts(shot, capture.base_from_table[index]), power, shot.ambient_e_per_ms)
         seed = (self.plan.seed, state.setup.capture, index)
-        return render_exposure(self.rig, [moment], exposure_ms=shot.exposure_ms, seed=seed)
+        return partial(render_exposure, self.rig, [moment], exposure_ms=shot.exposure_ms, seed=seed)
 
     def _state_at(self, time_s: float) -> _State:
         setup, piece = self._setup.at(time_s), self._table.at(time_s)
