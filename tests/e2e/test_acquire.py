@@ -361,6 +361,13 @@ def test_a_terminal_that_is_closed_does_not_end_what_was_started_to_ignore_it(re
         (["acquire", "--plan", "artikel", "rig.toml", "out"], 2, "artikel: the plan cannot be read"),
         (["acquire", "none.toml", "plan.toml", "out"], 2, "none.toml: the rig file cannot be read"),
         (["acquire", "world.toml", "plan.toml", "out"], 2, "this describes a rig to be simulated, not devices"),
+        (
+            ["acquire", "rig.toml", "rig.toml", "out"],
+            2,
+            "this names devices, or a rig to be simulated; expected a plan",
+        ),
+        (["rig", "chek", "rig.toml"], 2, "No such command 'chek'. Did you mean 'check'? See `rotaline --help`."),
+        (["rig"], 2, "Usage: "),
         (["acquire", "--toml"], 2, "`rotaline acquire --plan article --toml`"),
         (["acquire", "rig.toml", "plan.toml", "."], 2, "exists already, and is no session that an acquisition began"),
         (["acquire", "rig.toml", "plan.toml", "rig.toml"], 2, "exists already, and is no session"),
@@ -383,6 +390,15 @@ def test_a_plan_and_a_rig_file_with_mistakes(place, take):
     ended = take()
     assert ended.code == 2
     assert "rig.toml, line 6, camera.driver: found 'gencam', expected one of genicam, gentl" in ended.err
+    assert not (place / "taken").exists()
+
+
+def test_a_simulated_rig_that_is_not_there_is_named_with_the_line_of_the_file(place, take):
+    (place / "rig.toml").write_text(DEVICES.replace('"world.toml"', '"dmo"'))
+    ended = take()
+    assert ended.code == 2
+    assert "simulated.rig: found 'dmo', expected one of article, " in ended.err
+    assert ended.err.startswith(f"rotaline: {place / 'rig.toml'}, line ")
     assert not (place / "taken").exists()
 
 

@@ -138,6 +138,15 @@ def test_what_cannot_be_opened_is_said(write, tmp_path, call):
     assert not path.with_name("rig-check").exists()
 
 
+def test_a_place_that_cannot_be_used_is_said_before_anything_is_checked(write, worlds, call, tmp_path):
+    made = worlds()
+    (tmp_path / "taken").touch()
+    done = call("rig", "check", write(), "--out", tmp_path / "taken")
+    assert done.code == 4
+    assert "taken: cannot be written (File exists)" in done.err
+    assert made[0].counts["frames"] == 0
+
+
 def test_a_recorded_session_is_no_rig(tmp_path, call):
     rig = build_rig((64, 48))
     plan = small_plan(rig, captures=("ball",))

@@ -287,7 +287,7 @@ def summary(acquired: Acquired, plan: PlanTables, seconds: float) -> Group:
                 span = _exposure(values[0]) + (f" to {_exposure(values[-1])}" if len(values) > 1 else "")
                 exposures.append(f"laser {light} {span}")
         table.add_row(capture.folder, capture.role, str(len(rows)), places, ", ".join(exposures))
-    parts = [f"{acquired.n_frames} frames in {timedelta(seconds=round(seconds))}"]
+    parts = [f"{acquired.n_frames} frame{'' if acquired.n_frames == 1 else 's'} in {timedelta(seconds=round(seconds))}"]
     if acquired.n_before:
         parts.append(f"{acquired.n_before} of them by an earlier start")
     if acquired.n_retaken:

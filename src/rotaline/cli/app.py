@@ -59,7 +59,12 @@ def main(argv: list[str] | None = None) -> int:
     except Exception as error:
         if type(error).__module__.startswith(("click", "typer")):
             message = getattr(error, "format_message", lambda: str(error))()
-            return _fail(f"{message.rstrip('.')}. See `rotaline --help`.", BAD_INPUT)
+            if type(error).__name__ == "NoArgsIsHelpError":  # the message is the help
+                print(message, file=sys.stderr)
+                return BAD_INPUT
+            return _fail(
+                f"{message.rstrip('.')}{'' if message.endswith('?') else '.'} See `rotaline --help`.", BAD_INPUT
+            )
         logging.getLogger("rotaline").exception("unexpected error")
         return _fail(
             f"unexpected error ({type(error).__name__}: {error}). This is a defect of the program: please report it "

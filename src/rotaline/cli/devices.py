@@ -106,6 +106,7 @@ def rig_check(
     from rotaline.cli.acquire import ending_in_order
     from rotaline.cli.person import ask
     from rotaline.io.device_file import read_device_file
+    from rotaline.io.files import make_folder
     from rotaline.io.rig_check_file import check_document, write_rig_check
     from rotaline.pipeline.devices import open_devices
     from rotaline.pipeline.rig_check.check import check_rig
@@ -114,6 +115,7 @@ def rig_check(
     folder = out if out is not None else file.with_name(f"{file.stem}-check")
     console = Console(stderr=as_json, highlight=False)
     with ending_in_order(), open_devices(devices_file, None if as_json else ask).rig as opened:
+        make_folder(folder)  # a place that cannot be used is refused before the check, not after it
         found = check_rig(opened, lambda heard: _say(console, heard))
     write_rig_check(found, folder)
     if as_json:

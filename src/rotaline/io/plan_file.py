@@ -17,6 +17,7 @@ PLANS = ("article",)
 TURNING = ("axis", "artifact", "scan")
 
 _MOST_STOPS = 100_000  # of a capture; more is a slip of the pen
+_KEYS_OF_RIGS = {"preset", "camera", "turntable", "laser", "simulated", "replay"}
 _POSES = {"camera": 20, "laser-plane": 10}
 
 
@@ -97,7 +98,13 @@ def parse_plan(text: str, source: str) -> PlanFile:
     RigError
         With all that is wrong: file, line, field; found, expected.
     """
-    tables = checked(PlanTables, toml_of(source, text), source, text)
+    data = toml_of(source, text)
+    if _KEYS_OF_RIGS & set(data):
+        raise RigError(
+            f"{source}: this names devices, or a rig to be simulated; expected a plan, which says what is taken. Give both: "
+            "`rotaline acquire RIG.toml PLAN.toml OUT`."
+        )
+    tables = checked(PlanTables, data, source, text)
     problems = [f"{where(source, text, place)}: {what}" for place, what in _contradictions(tables)]
     if not problems:
         problems = _session_problems(tables, source, text)
@@ -148,7 +155,7 @@ def _capture_contradictions(capture: PlanCapture) -> list[tuple[str, str]]:
     if capture.frames is not None and capture.step_deg is not None:
         problems.append(("frames", "both frames and step_deg are given; keep one of them."))
     if capture.to_deg is not None and not 0 < abs(capture.to_deg - capture.from_deg) <= 360:
-        found = f"found {capture.to_deg:g}, expected up to 360 deg from from_deg = {capture.from_deg:g}."
+        found = f"found {capture.to_deg:g}, expected another angle than from_deg = {capture.from_deg:g}, up to 360 deg from it."
         problems.append(("to_deg", found))
     span_deg = 360.0 if capture.to_deg is None else abs(capture.to_deg - capture.from_deg)
     if capture.step_deg is not None and span_deg / capture.step_deg > _MOST_STOPS:

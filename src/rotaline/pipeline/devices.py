@@ -15,6 +15,7 @@ from rotaline.io.device_file import DeviceFile
 from rotaline.io.frame_images import read_source
 from rotaline.io.rig_file import PRESETS, read_preset, read_rig_file
 from rotaline.io.session import Capture, read_session
+from rotaline.io.toml_file import where
 from rotaline.pipeline.acquire.person import Person
 from rotaline.pipeline.acquire.stand_ins import RecordedPerson, SimulatedPerson
 
@@ -63,6 +64,11 @@ def open_devices(file: DeviceFile, prompt: Prompt | None = None) -> Opened:
 def _simulated(file: DeviceFile, connections: Connections) -> Opened:
     clock: Clock = SystemClock() if file.simulated.real_time else VirtualClock()
     name = file.simulated.rig
+    if name not in PRESETS and not (file.folder / name).is_file():
+        raise RigError(
+            f"{where(file.source, file.text, ('simulated', 'rig'))}: found {name!r}, expected one of {', '.join(PRESETS)}, or a rig file of "
+            f"`rotaline simulate`; there is no file {file.folder / name}."
+        )
     rig_file = read_preset(name) if name in PRESETS else read_rig_file(file.folder / name)
     world = SimulatedWorld(rig_file.rig(), rig_file.plan(file.simulated.seed), clock)
     connections.provide("world", world)

@@ -69,6 +69,15 @@ def test_a_single_table_in_place_of_several_is_recognised():
     )
 
 
+@pytest.mark.parametrize(
+    "text", ['version = 1\n[camera]\ndriver = "uvc"\n', 'preset = "demo"\n', SCAN + "[turntable]\nradius_mm = 80.0\n"]
+)
+def test_a_rig_file_in_its_place_is_recognised(text):
+    message = refused(text, "rig.toml")
+    assert message.startswith("rig.toml: this names devices, or a rig to be simulated; expected a plan")
+    assert len(message.splitlines()) == 1
+
+
 def test_all_mistakes_are_named_at_once():
     message = refused(ARTICLE.replace("poses = 20", "pose = 20").replace("step_deg = 4.0", "step_deg = -4.0"))
     assert len(message.splitlines()) == 6, message
@@ -79,8 +88,8 @@ def test_all_mistakes_are_named_at_once():
     [
         ("poses = 3", "line 5, captures[1].poses: this key says nothing for role 'scan'; remove it."),
         ("frames = 4\nstep_deg = 2.0", "line 5, captures[1].frames: both frames and step_deg are given; keep one of them."),
-        ("to_deg = 500.0", "to_deg: found 500, expected up to 360 deg from from_deg = 0."),
-        ("to_deg = 0.0", "to_deg: found 0, expected up to 360 deg"),
+        ("to_deg = 500.0", "to_deg: found 500, expected another angle than from_deg = 0, up to 360 deg from it."),
+        ("to_deg = 0.0", "to_deg: found 0, expected another angle than from_deg = 0"),
         ("bracket = [1.0, 1.0]", "bracket: found [1.0, 1.0], expected different factors."),
         ("bracket = []", "bracket: found []"),
         ("bracket = [0.0]", "bracket[1]: found 0.0, expected more than 0."),
