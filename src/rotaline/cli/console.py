@@ -14,7 +14,7 @@ from rich.text import Text
 from rotaline.calibration.verdict.model import Level, Verdict
 from rotaline.io.calibration_file import CalibrationFile
 from rotaline.io.report.contents import STEP_TITLES
-from rotaline.io.report.sections.verdict import LEVEL_TITLES, figure_text, gain_text, nothing_found
+from rotaline.io.report.verdict_words import LEVEL_TITLES, figure_text, gain_text, nothing_found
 from rotaline.io.results import MeasurementEntry
 from rotaline.io.session import Problem, Session
 from rotaline.pipeline.observer import LOG

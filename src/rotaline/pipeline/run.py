@@ -15,7 +15,6 @@ from rotaline.io.files import write_json
 from rotaline.io.locations import locate
 from rotaline.io.records import read_record, write_record
 from rotaline.io.report.contents import STAGES, ReportContents, StageWarning, SurfaceSummary
-from rotaline.io.report.write import write_report
 from rotaline.io.results import MeasurementEntry
 from rotaline.io.session import Capture, Session
 from rotaline.io.session_file import MeasurementRequest
@@ -264,6 +263,8 @@ class Run:
         surfaces: tuple[SurfaceSummary, ...],
     ) -> None:
         """Write ``report.html``, and what it was made from."""
+        from rotaline.io.report.write import write_report  # with all that draws, which other commands do without
+
         self._observer.stage("Report", stored=False)
         with self._store.timed("Report"):
             summaries = tuple(cloud_summary(scanned, clouds) for scanned in clouds.scanned.values())
@@ -385,6 +386,8 @@ def rewrite_report(folder: Path) -> Path:
     OutputError
         If the report cannot be written.
     """
+    from rotaline.io.report.write import write_report
+
     record = folder / "stages" / REPORT_RECORD
     if not record.is_file():
         raise SessionError(

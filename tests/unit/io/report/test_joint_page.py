@@ -13,7 +13,7 @@ from rotaline.calibration.scatter import mount_scatter
 from rotaline.calibration.verdict.model import Figure, Finding, StepVerdict
 from rotaline.io.records import read_record, write_record
 from rotaline.io.report.figures import joint as figures
-from rotaline.io.report.sections.verdict import figure_text
+from rotaline.io.report.verdict_words import figure_text
 from rotaline.io.report.write import render_report
 
 
