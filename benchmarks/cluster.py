@@ -1,9 +1,10 @@
 """What a million frames in object storage cost on a cluster: an estimate from what each part costs here.
 
-``python -m benchmarks.cluster [--quick]`` measures, on this machine, seconds of CPU for reading a frame, for extraction and triangulation, for the
-client's share (storing, writing the cloud), bytes in and out of a worker, and what dask takes of the client and of the scheduler for a range, with
-two local workers; then prints the table of the estimate. CPU time is counted, so that other work on the machine disturbs little. Assumed, not measured, are the cores of a node and the network (``CORES``, ``GIGABIT``), and that a core there is as
-fast as one here.
+``python -m benchmarks.cluster [--quick] [--docs docs]`` measures, on this machine, seconds of CPU for reading a frame, for extraction and
+triangulation, for the client's share (storing, writing the cloud), bytes in and out of a worker, and what dask takes of the client and of the
+scheduler for a range, with two local workers; then prints the table of the estimate, and puts it into ``how-to/cluster.md`` of the folder of
+``--docs``. CPU time is counted, so that other work on the machine disturbs little. Assumed, not measured, are the cores of a node and the network
+(``CORES``, ``GIGABIT``), and that a core there is as fast as one here.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import as_lines, filled, machine, versions
 from benchmarks.session import decode, make_session, packed, tasks
 from rotaline.io.calibration_file import read_calibration
 from rotaline.io.session import read_session
@@ -196,14 +198,8 @@ def _cpu_of(process: int) -> float:
     return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
-def main() -> None:
-    """Measure, and print the table of the estimate."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="fewer frames and repeats")
-    quick = parser.parse_args().quick
-    with tempfile.TemporaryDirectory() as folder:
-        found = measure(Path(folder), 96 if quick else 480, 3 if quick else 5)
-    print("One frame of 1280 x 960, seconds of one core of this machine:\n")
+def table(found: list[Costs]) -> str:
+    """What a frame costs, and the estimate."""
     rows: tuple[tuple[str, Callable[[Costs], float]], ...] = (
         ("worker: reading, ms", lambda c: 1e3 * c.read_s),
         ("worker: extraction and triangulation, ms", lambda c: 1e3 * c.work_s),
@@ -214,16 +210,39 @@ def main() -> None:
         (f"client: dask, for a range of {FRAMES_A_RANGE} frames, ms", lambda c: 1e3 * c.dask_range_s),
         (f"scheduler: for a range of {FRAMES_A_RANGE} frames, ms", lambda c: 1e3 * c.scheduler_s),
     )
-    print(f"{'':48}" + "".join(f"{c.source:>10}" for c in found))
-    for title, value in rows:
-        print(f"{title:48}" + "".join(f"{value(c):10.2f}" for c in found))
-    print(f"\n{N_FRAMES} frames; nodes of {CORES} cores, {GIGABIT:g} Gbit/s; minutes:\n")
     estimates = [estimate(costs, nodes) for costs in found for nodes in NODES]
     names = tuple(estimates[0].busy_min)
-    print(f"{'source':8}{'nodes':>6}" + "".join(f"{name:>15}" for name in (*names, "all")) + "   limited by")
+    lines = [
+        "One frame of 1280 x 960, seconds of one core of this machine:",
+        "",
+        f"{'':48}" + "".join(f"{c.source:>10}" for c in found),
+        *(f"{title:48}" + "".join(f"{value(c):10.2f}" for c in found) for title, value in rows),
+        "",
+        f"{N_FRAMES} frames; nodes of {CORES} cores, {GIGABIT:g} Gbit/s; minutes:",
+        "",
+        f"{'source':8}{'nodes':>6}" + "".join(f"{name:>15}" for name in (*names, "all")) + "   limited by",
+    ]
     for e in estimates:
         minutes = (*e.busy_min.values(), e.busy_min[e.limit])
-        print(f"{e.source:8}{e.nodes:6d}" + "".join(f"{m:15.2f}" for m in minutes) + f"   {e.limit}")
+        lines.append(f"{e.source:8}{e.nodes:6d}" + "".join(f"{m:15.2f}" for m in minutes) + f"   {e.limit}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure, and print the table of the estimate."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.cluster", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="fewer frames and repeats")
+    parser.add_argument("--docs", type=Path, metavar="DIR", help="also put the table into how-to/cluster.md there")
+    arguments = parser.parse_args()
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        found = measure(Path(folder), 96 if arguments.quick else 480, 3 if arguments.quick else 5)
+    text = f"{as_lines(machine())}\n{as_lines(versions())}\n\n{table(found)}"
+    print(text)
+    if arguments.docs:
+        page = arguments.docs / "how-to" / "cluster.md"
+        page.write_text(filled(page.read_text(encoding="utf-8"), {"cluster": text}), encoding="utf-8")
+    print(f"({time.perf_counter() - start:.0f} s)")
 
 
 if __name__ == "__main__":

@@ -80,7 +80,7 @@ def main(arguments: Sequence[str]) -> int:
         others = {k: v for k, v in second[what].items() if k != "load before"}
         if facts != others:
             print(f"Another {what}:\n  {as_lines(facts)}\n  {as_lines(others)}")
-    changes = compare(old, new)
+    changes = compare(*([m for part in parts for m in part.measurements] for parts in (old, new)))
     for verdict in ("slower", "faster"):
         found = [c for c in changes if c.verdict == verdict]
         print(f"{len(found)} of {len(changes)} times became {verdict} by more than the noise" + (":" if found else "."))

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-SCHEMA = "rotaline benchmarks 1"
+SCHEMA = "rotaline benchmarks 2"
 PACKAGES = ("rotaline", "numpy", "scipy", "numba", "opencv-python-headless", "open3d-cpu", "zarr", "scikit-image")
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -71,6 +71,16 @@ class Benchmark:
     name: str
     title: str
     run: Callable[[Setting], list[Measurement]]
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a run printed of one benchmark, the seconds that it took, and its measurements."""
+
+    name: str
+    seconds: float
+    table: str
+    measurements: tuple[Measurement, ...]
 
 
 def in_rounds(
@@ -203,21 +213,25 @@ def as_lines(facts: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {value}" for name, value in facts.items() if value)
 
 
-def write_results(path: Path, measurements: Sequence[Measurement], quick: bool) -> None:
-    """Write all that was measured, with the machine and the versions."""
+def write_results(path: Path, parts: Sequence[Part], quick: bool) -> None:
+    """Write all that was measured, with the machine and the versions; the file is there whole or as it was."""
+    measurements = [m for part in parts for m in part.measurements]
     document = {
         "schema": SCHEMA,
         "quick": quick,
         "machine": machine(),
         "versions": versions(),
+        "parts": [{"name": part.name, "seconds": part.seconds, "table": part.table} for part in parts],
         "measurements": [asdict(m) | {"median": m.median, "spread": m.spread} for m in measurements],
         "growth": [asdict(g) for g in growths(measurements)],
     }
-    path.write_text(json.dumps(_without_nan(document), indent=1) + "\n", encoding="utf-8")
+    written = path.with_suffix(".part")
+    written.write_text(json.dumps(_without_nan(document), indent=1) + "\n", encoding="utf-8")
+    written.replace(path)
 
 
-def read_results(path: Path) -> tuple[dict[str, Any], list[Measurement]]:
-    """The document and its measurements.
+def read_results(path: Path) -> tuple[dict[str, Any], list[Part]]:
+    """The document and its parts.
 
     Raises
     ------
@@ -232,7 +246,31 @@ def read_results(path: Path) -> tuple[dict[str, Any], list[Measurement]]:
         raise ValueError(f"{path}: expected a file that `python -m benchmarks` wrote, with schema {SCHEMA!r}.")
     fields = ("benchmark", "name", "unit", "parameter", "parameter_name")
     rows = [Measurement(**{f: m[f] for f in fields}, values=_values(m["values"])) for m in document["measurements"]]
-    return document, rows
+    return document, [
+        Part(p["name"], p["seconds"], p["table"], tuple(m for m in rows if m.benchmark == p["name"]))
+        for p in document["parts"]
+    ]
+
+
+def earlier_parts(path: Path, quick: bool) -> list[Part]:
+    """The parts that an earlier run of the same sources, in the same sizes, has left in a file; none if there is no file.
+
+    Raises
+    ------
+    ValueError
+        If the file is of other sources, versions or sizes, which cannot stand in one table.
+    """
+    if not path.is_file():
+        return []
+    document, parts = read_results(path)
+    here = {"quick": quick, **{k: v.rstrip("+") for k, v in versions().items()}}
+    there = {"quick": document["quick"], **{k: v.rstrip("+") for k, v in document["versions"].items()}}
+    other = [f"{k} {there.get(k)}, now {here.get(k)}" for k in sorted({*here, *there}) if here.get(k) != there.get(k)]
+    if other:
+        raise ValueError(
+            f"{path}: these results are of another run: {'; '.join(other)}. Leave out --resume, or give another --out."
+        )
+    return parts
 
 
 def _values(values: Sequence[float | None]) -> tuple[float, ...]:

@@ -109,6 +109,13 @@ def scan(session: Path, *options: str) -> None:
     shutil.rmtree(out, ignore_errors=True)
 
 
+def _warm_up(folder: Path) -> None:
+    """Kernels are compiled, and loaded in this process; files are in the disk cache."""
+    session = make_session(folder, 12)
+    scan(session)
+    all_of(process_range, session, ThreadWorkers(THREADS))
+
+
 def _rotaline(*arguments: object) -> None:
     done = subprocess.run([*ROTALINE, *map(str, arguments)], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -121,7 +128,7 @@ def measure(setting: Setting) -> list[Measurement]:
     folder = setting.folder / "session"
     session = make_session(folder, n_frames)
     workers = ThreadWorkers(THREADS)
-    scan(make_session(folder, 12))  # kernels compiled, files in the disk cache
+    _warm_up(folder)
     sources = {"PNG folder": session, "packed": packed(session)}
     steps = {}
     for source, path in sources.items():
@@ -169,7 +176,7 @@ def measure_frames(setting: Setting) -> list[Measurement]:
     """``rotaline scan`` of more and more frames."""
     numbers = (50, 100, 200) if setting.quick else (100, 200, 400, 800, 1600, 3200)
     folder, found = setting.folder / "session", []
-    scan(make_session(folder, 12))
+    _warm_up(folder)
     print(f"{'frames':>8}{'rotaline scan, s':>18}{'extraction and triangulation, s':>34}")
     workers = ThreadWorkers(THREADS)
     for n in numbers:
@@ -204,7 +211,7 @@ def measure_workers(setting: Setting) -> list[Measurement]:
             for _ in range(n):
                 all_of(process_range, warm, workers)
             all_of(process_range, session, workers)
-            seconds = timed(partial(all_of, process_range, session, workers), 2 if setting.quick else 5)
+            seconds = timed(partial(all_of, process_range, session, workers), 2 if setting.quick else 3)
             workers.close()
             found.append(Measurement("workers", kind, "s", seconds, n, kind))
             print(f"{kind:10} {n}: {found[-1].median:7.2f} s, {n_frames / found[-1].median:6.0f} frames/s")

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[3]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.compare import compare, main  # noqa: E402
-from benchmarks.harness import Measurement, filled, growth, growths, in_rounds, read_results, write_results  # noqa: E402
+from benchmarks.harness import Measurement, Part, filled, growth, growths, in_rounds, read_results, write_results  # noqa: E402
 
 
 def times(name: str, middle: float, spread: float, n: int = 9) -> Measurement:
@@ -22,6 +22,10 @@ def test_the_spread_is_the_standard_deviation_of_normal_noise() -> None:
     assert times("x", 3.0, 0.1).spread == pytest.approx(0.1)
     values = np.random.default_rng(0).normal(5.0, 0.2, 4001)
     assert Measurement("b", "x", "s", tuple(values)).spread == pytest.approx(0.2, rel=0.05)
+
+
+def part(name: str, *measurements: Measurement) -> Part:
+    return Part(name, 7.0, f"table of {name}", measurements)
 
 
 @pytest.mark.parametrize(
@@ -57,11 +61,12 @@ def test_only_times_that_both_runs_have_are_compared() -> None:
 
 def test_files_are_written_read_and_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     old, new = tmp_path / "old.json", tmp_path / "new.json"
-    write_results(old, [times("x", 1.0, 0.01), Measurement("b", "y", "px", (np.nan,))], quick=True)
-    write_results(new, [times("x", 2.0, 0.01)], quick=True)
-    _, rows = read_results(old)
-    assert rows[0] == times("x", 1.0, 0.01)
-    assert np.isnan(rows[1].values[0])
+    write_results(old, [part("b", times("x", 1.0, 0.01), Measurement("b", "y", "px", (np.nan,)))], quick=True)
+    write_results(new, [part("b", times("x", 2.0, 0.01)), part("other")], quick=True)
+    _, (only,) = read_results(old)
+    assert (only.name, only.seconds, only.table) == ("b", 7.0, "table of b")
+    assert only.measurements[0] == times("x", 1.0, 0.01)
+    assert np.isnan(only.measurements[1].values[0])
     assert main([str(old), str(new)]) == 0
     out = capsys.readouterr().out
     assert "1 of 1 times became slower" in out
