@@ -81,7 +81,7 @@ class RangeResult:
 
 
 def process_range(task: RangeTask) -> RangeResult:
-    """Decode, extract and triangulate, frame by frame.
+    """Decode and extract, some frames at a time, and triangulate.
 
     Raises
     ------
