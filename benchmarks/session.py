@@ -8,7 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -92,9 +92,9 @@ def decode(task: RangeTask) -> int:
     return last
 
 
-def all_of(function: object, session: Path, workers: Workers) -> None:
-    """Every range of a session, nothing kept."""
-    for _ in workers.run(function, tasks(session)):  # type: ignore[arg-type]
+def all_of(function: object, work: Sequence[RangeTask], workers: Workers) -> None:
+    """Every range, nothing kept."""
+    for _ in workers.run(function, work):  # type: ignore[arg-type]
         pass
 
 
@@ -113,7 +113,7 @@ def _warm_up(folder: Path) -> None:
     """Kernels are compiled, and loaded in this process; files are in the disk cache."""
     session = make_session(folder, 12)
     scan(session)
-    all_of(process_range, session, ThreadWorkers(THREADS))
+    all_of(process_range, tuple(tasks(session)), ThreadWorkers(THREADS))
 
 
 def _rotaline(*arguments: object) -> None:
@@ -123,7 +123,7 @@ def _rotaline(*arguments: object) -> None:
 
 
 def measure(setting: Setting) -> list[Measurement]:
-    """Decoding and scanning the same files, in turns."""
+    """Decoding and scanning the same files, in turns; ``rotaline scan`` checks and lists the frames too, the others have their list."""
     n_frames = 96 if setting.quick else 960
     folder = setting.folder / "session"
     session = make_session(folder, n_frames)
@@ -132,8 +132,9 @@ def measure(setting: Setting) -> list[Measurement]:
     sources = {"PNG folder": session, "packed": packed(session)}
     steps = {}
     for source, path in sources.items():
-        steps[f"{source}: decoding"] = partial(all_of, decode, path, workers)
-        steps[f"{source}: decoding, extraction, triangulation"] = partial(all_of, process_range, path, workers)
+        work = tuple(tasks(path))
+        steps[f"{source}: decoding"] = partial(all_of, decode, work, workers)
+        steps[f"{source}: decoding, extraction, triangulation"] = partial(all_of, process_range, work, workers)
         steps[f"{source}: rotaline scan"] = partial(scan, path)
     steps["rotaline scan, 12 frames"] = partial(scan, make_session(folder, 12))
     seconds: dict[str, list[float]] = {name: [] for name in steps}
@@ -183,7 +184,7 @@ def measure_frames(setting: Setting) -> list[Measurement]:
         session = make_session(folder, n)
         inner = Measurement(
             "frames", "decoding, extraction, triangulation", "s",
-            timed(partial(all_of, process_range, session, workers), setting.repeats), n, "frames",
+            timed(partial(all_of, process_range, tuple(tasks(session)), workers), setting.repeats), n, "frames",
         )  # fmt: skip
         whole = Measurement(
             "frames",
@@ -201,8 +202,8 @@ def measure_frames(setting: Setting) -> list[Measurement]:
 def measure_workers(setting: Setting) -> list[Measurement]:
     """The same frames by threads and by processes; processes start before the clock does."""
     n_frames = 96 if setting.quick else 960
-    session = make_session(setting.folder / "session", n_frames)
-    warm = make_session(setting.folder / "session", 12)
+    work = tuple(tasks(make_session(setting.folder / "session", n_frames)))
+    warm = tuple(tasks(make_session(setting.folder / "session", 12)))
     found = []
     print(f"{n_frames} PNG frames")
     for kind, make in (("threads", ThreadWorkers), ("processes", ProcessWorkers)):
@@ -210,8 +211,8 @@ def measure_workers(setting: Setting) -> list[Measurement]:
             workers = make(n)
             for _ in range(n):
                 all_of(process_range, warm, workers)
-            all_of(process_range, session, workers)
-            seconds = timed(partial(all_of, process_range, session, workers), 2 if setting.quick else 3)
+            all_of(process_range, work, workers)
+            seconds = timed(partial(all_of, process_range, work, workers), 2 if setting.quick else 3)
             workers.close()
             found.append(Measurement("workers", kind, "s", seconds, n, kind))
             print(f"{kind:10} {n}: {found[-1].median:7.2f} s, {n_frames / found[-1].median:6.0f} frames/s")
