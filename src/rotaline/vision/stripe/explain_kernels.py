@@ -12,7 +12,6 @@ from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.tile_kernels import (
     BLOCK_COLUMNS,
     BLOCK_ROWS,
-    BLOCK_SIZE,
     FIRST,
     SMOOTH_SIZE,
     TILE,
@@ -28,7 +27,7 @@ _FALL = 3.7  # px^2; the fall over 3 px across tells the width: this for a strip
 _WING = 0.05  # of the height of a chain; what is fainter beside it is taken for its foot
 _BORDER = 6  # px along the border of the image, where no smaller size has candidates
 _FEW = 2  # of every fourth pixel of a tile; a ridge that only a smaller size shows has more
-_COLUMN = np.uint64(0x0101010101010101)
+_ROW, _COLUMN = np.uint64(0xFF), np.uint64(0x0101010101010101)
 _EVEN, _PACK, _FOUR = (
     np.uint64(0x0001000100010001),
     np.uint64(0x0001000200040008),
@@ -57,46 +56,45 @@ def lowest(smooth: np.ndarray) -> float:
 
 @compiled
 @no_type_check
-def bright_pixels(
-    smooth: np.ndarray,
-    low: float,
-    dim: float,
-    top: int,
-    left: int,
-    h: int,
-    w: int,
-    fold: np.ndarray,
-    flags: np.ndarray,
-    words: np.ndarray,
-) -> tuple:
-    """Every fourth pixel of a tile that is well above what is dark around, bit ``8 i + j`` for pixel (2 i, 2 j); and the tile's height above that.
+def highest(smooth: np.ndarray, fold: np.ndarray) -> float:
+    """Highest value of a tile; ``fold`` is work space."""
+    for j in range(4 * BLOCK_COLUMNS):
+        t = FIRST + j
+        fold[j] = max(max(smooth[t], smooth[t + 128]), max(smooth[t + 256], smooth[t + 384]))
+    for j in range(TILE):
+        fold[j] = max(max(fold[j], fold[j + 32]), max(fold[j + 64], fold[j + 96]))
+    for n in (8, 4, 2, 1):
+        for j in range(n):
+            fold[j] = max(fold[j], fold[j + n])
+    return fold[0]
 
-    ``fold``, and ``flags`` with their ``words`` of eight bytes, are work space.
+
+@compiled
+@no_type_check
+def bright_limit(low: float, height: float, dim: float) -> float:
+    """What is higher than this, in a tile that is so high above what is dark around, is bright."""
+    return low + max(np.float32(dim), np.float32(_WING) * height) if height > dim else np.inf
+
+
+@compiled
+@no_type_check
+def bright_pixels(words: np.ndarray, top: int, left: int, h: int, w: int) -> int:
+    """Every fourth pixel of a tile that is bright, bit ``8 i + j`` for pixel (2 i, 2 j).
+
+    ``words`` are the marks of :func:`rotaline.vision.stripe.tile_kernels.tile_peaks`, eight bytes each.
     """
-    for t in range(256):
-        fold[t] = max(smooth[t + FIRST], smooth[t + FIRST + 240])
-    for n in (128, 64, 32, 16):
-        for t in range(n):
-            fold[t] = max(fold[t], fold[t + n])
-    highest = fold[0]
-    for t in range(1, 16):
-        highest = max(highest, fold[t])
-    height = highest - low
     bits = np.uint64(0)
-    if height > dim:
-        limit = np.float32(low + max(np.float32(dim), np.float32(_WING) * height))
-        values = smooth[FIRST:]
-        for t in range(TILE * BLOCK_COLUMNS - TILE):
-            flags[t] = np.uint8(values[t] > limit)
+    for i in range(TILE // 2):
+        for part in range(2):
+            four = ((words[4 * i + part] >> _TWO & _EVEN) * _PACK) >> np.uint64(48) & _FOUR
+            bits |= four << np.uint64(8 * i + 4 * part)
+    if bits and not (_BORDER <= top <= h - _BORDER - TILE and _BORDER <= left <= w - _BORDER - TILE):
         for i in range(TILE // 2):
-            if _BORDER <= top + 2 * i < h - _BORDER:
-                for part in range(2):
-                    four = ((words[8 * i + part] & _EVEN) * _PACK) >> np.uint64(48) & _FOUR
-                    bits |= four << np.uint64(8 * i + 4 * part)
-        for j in range(TILE // 2):
-            if not _BORDER <= left + 2 * j < w - _BORDER:
-                bits &= ~(_COLUMN << np.uint64(j))
-    return bits, height
+            if not _BORDER <= top + 2 * i < h - _BORDER:
+                bits &= ~(_ROW << np.uint64(8 * i))
+            if not _BORDER <= left + 2 * i < w - _BORDER:
+                bits &= ~(_COLUMN << np.uint64(i))
+    return bits
 
 
 @compiled
@@ -199,15 +197,15 @@ def ridges_beside(
     image: np.ndarray, scale: float, tiles: np.ndarray, light: np.ndarray, columns: int, least: float
 ) -> bool:
     """Whether there are ridges in the half or the quarter size of the image where pixels of these tiles are bright."""
-    block, half = np.empty(BLOCK_SIZE, np.float32), np.zeros(SMOOTH_SIZE + TILE, np.float32)
-    smooth, peaks = np.empty(SMOOTH_SIZE, np.float32), np.zeros(TILE * BLOCK_COLUMNS, np.uint8)
+    block, peaks = np.empty((BLOCK_ROWS, BLOCK_COLUMNS), np.float32), np.empty((TILE, TILE), np.uint8)
+    half, smooth = np.zeros(SMOOTH_SIZE + 6, np.float32), np.empty(SMOOTH_SIZE, np.float32)
     for k in range(len(tiles)):
         a, b = tiles[k] // columns, tiles[k] % columns
         for factor in (2, 4):
             _smaller_block(image, scale, a // factor, b // factor, factor, block)
-            smooth_block(block, half, smooth)
-            found = tile_peaks(smooth, least, least, peaks)
-            if found and _in_light(peaks, light[k], factor, a % factor, b % factor):
+            smooth_block(block, 1.0, half, smooth)
+            tile_peaks(smooth, least, least, np.inf, peaks)
+            if _in_light(peaks, light[k], factor, a % factor, b % factor):
                 return True
     return False
 
@@ -237,7 +235,7 @@ def _smaller_block(image: np.ndarray, scale: float, a: int, b: int, factor: int,
             for y in range(factor):
                 for x in range(factor):
                     total += np.int32(image[top + y, left + x])
-            block[i * BLOCK_COLUMNS + j] = weight * np.float32(total)
+            block[i, j] = weight * np.float32(total)
 
 
 @compiled
@@ -249,7 +247,7 @@ def _in_light(peaks: np.ndarray, light: int, factor: int, down: int, right: int)
     n = 0
     for i in range(size):
         for j in range(size):
-            if peaks[(down * size + i) * BLOCK_COLUMNS + right * size + j]:
+            if peaks[down * size + i, right * size + j]:
                 bright = np.uint64(0)
                 for y in range(i * wide, (i + 1) * wide):
                     for x in range(j * wide, (j + 1) * wide):

@@ -5,15 +5,18 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.explain_kernels import DIM, bright_pixels, lowest
+from rotaline.vision.stripe.explain_kernels import DIM, bright_limit, bright_pixels, highest, lowest
 from rotaline.vision.stripe.settle_kernels import median
 from rotaline.vision.stripe.tile_kernels import (
     BLOCK_COLUMNS,
-    BLOCK_SIZE,
     FIRST,
+    ONES,
     SMOOTH_SIZE,
     TILE,
     bright_tiles,
+    first_byte,
+    inside,
+    smooth_border_tile,
     smooth_tile,
     sweep,
     tile_peaks,
@@ -73,11 +76,11 @@ def candidates(
     queue, number = order[0], order[1]
     rows, columns = tops.shape
     n_tiles = rows * columns
-    block, half = np.empty(BLOCK_SIZE, np.float32), np.zeros(SMOOTH_SIZE + TILE, np.float32)
-    smooth, limits = np.empty(SMOOTH_SIZE, np.float32), np.empty(2, np.float32)
+    half, smooth = np.zeros(SMOOTH_SIZE + 6, np.float32), np.empty(SMOOTH_SIZE, np.float32)
+    limits = np.empty(2, np.float32)
     if effort != EVERYWHERE:
         sweep(image, scale, tops, lows)
-    by_noise = _limits(image, scale, rows, columns, threshold, floor, effort, block, half, smooth, limits)
+    by_noise = _limits(image, scale, rows, columns, threshold, floor, effort, half, smooth, limits)
     if effort == EVERYWHERE:
         n_queue = n_tiles
         for k in range(n_tiles):
@@ -92,8 +95,8 @@ def candidates(
         number[k] = -1
     for k in range(n_queue):
         number[queue[k]] = k
-    peaks = np.zeros(TILE * BLOCK_COLUMNS, np.uint8)
-    words = peaks.view(np.uint64)
+    peaks = np.empty((TILE, TILE), np.uint8)
+    words = peaks.reshape(-1).view(np.uint64)
     dim = DIM * min(limits[0], limits[1])
     count = np.zeros(2, np.int64)
     done = 0
@@ -101,15 +104,21 @@ def candidates(
         if max(count[0], count[1]) + _PER_TILE > where.shape[1]:
             return -1, 0, 0, 0.0, 0.0, 0.0
         a, b = queue[done] // columns, queue[done] % columns
-        smooth_tile(image, scale, a, b, block, half, smooth)
+        if inside(a, b, h, w):
+            smooth_tile(image, scale, a, b, half, smooth)
+        else:
+            smooth_border_tile(image, scale, a, b, half, smooth)
         low = lowest(smooth)
-        light[done], height[done] = bright_pixels(smooth, low, dim, a * TILE, b * TILE, h, w, half, peaks, words)
+        height[done] = highest(smooth, half) - low
+        tile_peaks(smooth, limits[0], limits[1], bright_limit(low, height[done], dim), peaks)
+        light[done] = bright_pixels(words, a * TILE, b * TILE, h, w)
+        kinds = np.uint64(0)
+        for k in range(len(words)):
+            kinds |= words[k]
         near = 0
-        kinds = tile_peaks(smooth, limits[0], limits[1], peaks)
-        if kinds & 1:
-            near |= _collect(words, smooth, low, 0, a, b, h, w, where, what, count)
-        if kinds & 2:
-            near |= _collect(words, smooth, low, 1, a, b, h, w, where, what, count)
+        for kind in range(2):
+            if kinds >> np.uint64(kind) & ONES:
+                near |= _collect(words, smooth, low, kind, a, b, h, w, where, what, count)
         if near:
             n_queue = _neighbours(near, a, b, rows, columns, number, queue, n_queue)
         done += 1
@@ -136,31 +145,24 @@ def _collect(
     """
     near = 0
     n = count[kind]
-    line, place, prominence, above = where[2 * kind], where[2 * kind + 1], what[2 * kind], what[2 * kind + 1]
+    first, second = 2 * kind, 2 * kind + 1
     step, along, across = (1, 3, 2) if kind == 0 else (BLOCK_COLUMNS, 2, 3)
     edge_rows, edge_columns = (0, 3) if kind == 0 else (3, 0)
     for i in range(TILE):
+        y = 0 if i < along else 2 if i >= TILE - along else 1
         for part in range(TILE // 8):
-            rest = np.int64(words[4 * i + part]) >> kind & 0x0101010101010101
-            j = 8 * part - 1
+            rest = words[TILE // 8 * i + part] >> np.uint64(kind) & ONES
             while rest:
-                j += 1
-                if rest & 0xFFFFFFFF == 0:
-                    rest >>= 32
-                    j += 4
-                while rest & 1 == 0:
-                    rest >>= 8
-                    j += 1
-                rest >>= 8
+                j = 8 * part + first_byte(rest)
+                rest &= rest - np.uint64(1)
                 row, column = a * TILE + i, b * TILE + j
                 if row < edge_rows or row >= h - edge_rows or column < edge_columns or column >= w - edge_columns:
                     continue
                 t = FIRST + i * BLOCK_COLUMNS + j
-                line[n], place[n] = (row, column) if kind == 0 else (column, row)
-                prominence[n] = smooth[t] - max(smooth[t - 3 * step], smooth[t + 3 * step])
-                above[n] = smooth[t] - low
+                where[first, n], where[second, n] = (row, column) if kind == 0 else (column, row)
+                what[first, n] = smooth[t] - max(smooth[t - 3 * step], smooth[t + 3 * step])
+                what[second, n] = smooth[t] - low
                 n += 1
-                y = 0 if i < along else 2 if i >= TILE - along else 1
                 x = 0 if j < across else 2 if j >= TILE - across else 1
                 near |= 1 << (3 * y + x) | 1 << (3 * y + 1) | 1 << (3 + x)
     count[kind] = n
@@ -193,7 +195,6 @@ def _limits(
     threshold: float,
     floor: float,
     effort: int,
-    block: np.ndarray,
     half: np.ndarray,
     smooth: np.ndarray,
     limits: np.ndarray,
@@ -215,14 +216,17 @@ def _limits(
             tile = k * rows * columns // number
             tile += k * 7 % ((k + 1) * rows * columns // number - tile)  # not all in the same columns
             top, left = tile // columns * TILE, tile % columns * TILE
-            smooth_tile(image, scale, tile // columns, tile % columns, block, half, smooth)
+            if inside(tile // columns, tile % columns, h, w):
+                smooth_tile(image, scale, tile // columns, tile % columns, half, smooth)
+            else:
+                smooth_border_tile(image, scale, tile // columns, tile % columns, half, smooth)
             for i in range(first, min(TILE, h - top), step):
                 t = FIRST + i * BLOCK_COLUMNS
                 low, high = max(3 - left, 0), min(TILE, w - 3 - left)
                 if low < high:
-                    count[0] += _drops(smooth, t + low, t + high, 3, samples[0, count[0] :])
+                    count[0] = _drops(smooth, t + low, t + high, 3, samples[0], count[0])
                 if 3 <= top + i < h - 3:
-                    count[1] += _drops(smooth, t, t + min(TILE, w - left), 3 * BLOCK_COLUMNS, samples[1, count[1] :])
+                    count[1] = _drops(smooth, t, t + min(TILE, w - left), 3 * BLOCK_COLUMNS, samples[1], count[1])
         least, most = np.inf, 0.0
         for kind in range(2):
             values = samples[kind, : count[kind]]
@@ -239,9 +243,8 @@ def _limits(
 
 @compiled
 @no_type_check
-def _drops(smooth: np.ndarray, begin: int, end: int, away: int, out: np.ndarray) -> int:
-    """Heights of values above the higher of two, away to both sides; returns how many."""
-    for k in range(end - begin):
-        t = begin + k
-        out[k] = smooth[t] - max(smooth[t - away], smooth[t + away])
-    return end - begin
+def _drops(smooth: np.ndarray, begin: int, end: int, away: int, out: np.ndarray, n: int) -> int:
+    """Put the heights of values above the higher of two, away to both sides, behind the first n; returns how many there are then."""
+    for t in range(begin, end):
+        out[n + t - begin] = smooth[t] - max(smooth[t - away], smooth[t + away])
+    return n + end - begin

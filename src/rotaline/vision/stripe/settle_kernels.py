@@ -57,22 +57,19 @@ def compete(
     begin, end, chain = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
     m = 0
     for c in order:
-        first = m
-        length = 0
-        for k in range(start[c], start[c + 1] + 1):
-            free = False
-            if k < start[c + 1]:
-                row, column = _pixel(line[k], place[k], steep[c], factor[c], taken.shape)
-                free = taken[row, column] != mark
-            if free:
-                length += 1
-            else:
-                if length >= _SHORTEST:
-                    begin[m], end[m], chain[m] = k - length, k, c
-                    m += 1
-                length = 0
+        first, last, is_steep, size = m, start[c + 1], steep[c], factor[c]
+        free = start[c]
+        for k in range(start[c], last + 1):
+            if k < last:
+                row, column = _pixel(line[k], place[k], is_steep, size, taken.shape)
+                if taken[row, column] != mark:
+                    continue
+            if k - free >= _SHORTEST:
+                begin[m], end[m], chain[m] = free, k, c
+                m += 1
+            free = k + 1
         for p in range(first, m):
-            _paint(line, place, begin[p], end[p], steep[c], factor[c], taken, mark)
+            _paint(line, place, begin[p], end[p], is_steep, size, taken, mark)
     return begin[:m], end[:m], chain[:m]
 
 
@@ -180,7 +177,7 @@ def _coarse_back(
 @no_type_check
 def _pixel(line: int, place: int, steep: bool, factor: int, shape: tuple[int, int]) -> tuple[int, int]:
     """Row and column of the pixel of the full image at a point."""
-    middle = 2 * (factor // 4)
+    middle = factor >> 2 << 1
     row, column = (line, place) if steep else (place, line)
     return min(row * factor + middle, shape[0] - 1), min(column * factor + middle, shape[1] - 1)
 
@@ -261,6 +258,17 @@ def _sum(
 
 @compiled
 @no_type_check
+def _mostly_above(values: np.ndarray, begin: int, end: int, limit: float) -> bool:
+    """Whether more than half of the values from begin to end are above a limit, as their median then is."""
+    least = np.float32(limit)
+    n = np.int32(0)
+    for k in range(np.uint64(begin), np.uint64(end)):
+        n += np.int32(values[k] > least)
+    return 2 * n > end - begin
+
+
+@compiled
+@no_type_check
 def choose(
     line: np.ndarray,
     place: np.ndarray,
@@ -307,7 +315,7 @@ def choose(
     for p in order:
         if crowded and (end[p] - begin[p]) * factor[chain[p]] < min_length_px:
             continue
-        if strength[p] > share * best and median(prominence[begin[p] : end[p]]) > part * usual:
+        if strength[p] > share * best and _mostly_above(prominence, begin[p], end[p], part * usual):
             kept[m] = p
             m += 1
             size += end[p] - begin[p]

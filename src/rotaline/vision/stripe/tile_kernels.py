@@ -12,10 +12,11 @@ import numpy as np
 from rotaline.geometry.compiled import compiled
 
 TILE, BLOCK_ROWS, BLOCK_COLUMNS = 16, 28, 32
-BLOCK_SIZE = BLOCK_ROWS * BLOCK_COLUMNS
 SMOOTH_SIZE = 22 * BLOCK_COLUMNS
 FIRST = 3 * BLOCK_COLUMNS + 5  # of the tile in its smoothed block
 _ABOVE, _LEFT = 6, 8  # of the tile in its block
+_U1, _U2, _U3, _U4, _U5, _U6, _U7, _U8, _U16 = (np.uint64(k) for k in (1, 2, 3, 4, 5, 6, 7, 8, 16))
+ONES = np.uint64(0x0101010101010101)  # eight bytes, each of them 1
 _weights = np.exp(-0.5 * np.arange(4.0) ** 2)
 _G0, _G1, _G2, _G3 = (np.float32(w) for w in _weights / (_weights[0] + 2.0 * _weights[1:].sum()))
 
@@ -29,44 +30,53 @@ def sweep(image: np.ndarray, scale: float, tops: np.ndarray, lows: np.ndarray) -
     """
     h, w = image.shape
     high = np.empty((tops.shape[1] + 1) * TILE, image.dtype)
-    half = np.empty(len(high), image.dtype)
-    last = h - 1
+    means, least = np.empty_like(high), np.empty_like(high)
     for a in range(tops.shape[0]):
-        top = a * TILE
         high[:] = 0
-        for i in range(top, min(top + TILE, h), 4):
-            _raise_to(image[i], image[min(i + 1, last)], image[min(i + 2, last)], image[min(i + 3, last)], high[:w])
+        for i in range(a * TILE, min((a + 1) * TILE, h), 8):
+            _raise_to(image, i, high)
         for j in range(w, len(high)):
             high[j] = high[w - 1]
-        _row_extremes(high, half, np.float32(scale), tops[a], lows[a])
+        _row_extremes(high, means, least, np.float32(scale), a, tops, lows)
 
 
 @compiled
 @no_type_check
-def _raise_to(r0: np.ndarray, r1: np.ndarray, r2: np.ndarray, r3: np.ndarray, high: np.ndarray) -> None:
-    """Raise the values in ``high`` to those of four rows."""
-    for j in range(len(high)):
-        high[j] = max(high[j], max(max(r0[j], r1[j]), max(r2[j], r3[j])))
+def _raise_to(image: np.ndarray, i: int, high: np.ndarray) -> None:
+    """Raise the values in ``high`` to those of the eight rows from row i on."""
+    # unsigned numbers never count from the end, which makes faster loops
+    r, last = np.uint64(i), np.uint64(image.shape[0] - 1)
+    r1, r2, r3, r4 = min(r + _U1, last), min(r + _U2, last), min(r + _U3, last), min(r + _U4, last)
+    r5, r6, r7 = min(r + _U5, last), min(r + _U6, last), min(r + _U7, last)
+    for j in range(np.uint64(image.shape[1])):
+        upper = max(max(image[r, j], image[r1, j]), max(image[r2, j], image[r3, j]))
+        lower = max(max(image[r4, j], image[r5, j]), max(image[r6, j], image[r7, j]))
+        high[j] = max(high[j], max(upper, lower))
 
 
 @compiled
 @no_type_check
-def _row_extremes(high: np.ndarray, half: np.ndarray, scale: float, top: np.ndarray, low: np.ndarray) -> None:
-    """The largest mean of two neighbours in each 16 values, and the smallest of four of them."""
-    n = len(high) - TILE
+def _row_extremes(
+    high: np.ndarray, means: np.ndarray, least: np.ndarray, scale: float, a: int, tops: np.ndarray, lows: np.ndarray
+) -> None:
+    """The largest mean of two neighbours in each 16 values, and the smallest of every fourth of them: row a of ``tops`` and ``lows``."""
+    n = np.uint64(len(high) - TILE)
     value = high.dtype.type
-    for b in range(len(low)):
-        j = b * TILE
-        low[b] = scale * np.float32(min(min(high[j], high[j + 4]), min(high[j + 8], high[j + 12])))
-    for j in range(n + 15):
-        half[j] = value((np.int32(high[j]) + np.int32(high[j + 1]) + 1) >> 1)
-    for j in range(n + 7):
-        high[j] = max(half[j], half[j + 8])
-    for j in range(n + 3):
-        half[j] = max(high[j], high[j + 4])
-    for b in range(len(top)):
-        j = b * TILE
-        top[b] = scale * np.float32(max(max(half[j], half[j + 1]), max(half[j + 2], half[j + 3])))
+    for j in range(n):
+        means[j] = value((np.int32(high[j]) + np.int32(high[j + _U1]) + 1) >> 1)
+    for j in range(n):
+        least[j] = min(high[j], high[j + _U4])
+    for j in range(n):
+        high[j] = max(means[j], means[j + _U8])
+    for j in range(n):
+        means[j] = max(high[j], high[j + _U4])
+    for j in range(n):
+        high[j] = max(max(means[j], means[j + _U1]), max(means[j + _U2], means[j + _U3]))
+    row = np.uint64(a)
+    for b in range(np.uint64(tops.shape[1])):
+        tops[row, b] = scale * np.float32(high[_U16 * b])
+    for b in range(np.uint64(tops.shape[1])):
+        lows[row, b] = scale * np.float32(min(least[_U16 * b], least[_U16 * b + _U8]))
 
 
 @compiled
@@ -78,24 +88,32 @@ def bright_tiles(tops: np.ndarray, lows: np.ndarray, least: float, queue: np.nda
     """
     rows, columns = tops.shape
     low = np.empty(columns + 2, np.float32)
-    limit = np.empty(columns, np.float32)
+    marks = np.zeros((columns + 7) // 8 * 8, np.uint8)
+    words = marks.view(np.uint64)
     low[0] = low[columns + 1] = np.inf
     height = np.float32(least)
     n = 0
     for a in range(rows - 1, -1, -1):
-        above, own, below, top = lows[max(a - 1, 0)], lows[a], lows[min(a + 1, rows - 1)], tops[a]
-        for b in range(columns):
-            low[b + 1] = min(own[b], min(above[b], below[b]))
-        found = np.int32(0)
-        for b in range(columns):
-            limit[b] = min(low[b + 1], min(low[b], low[b + 2])) + height
-            found += np.int32(top[b] > limit[b])
-        if found > 0:
-            for b in range(columns):
-                if top[b] > limit[b]:
-                    queue[n] = a * columns + b
-                    n += 1
+        above, own, below = np.uint64(max(a - 1, 0)), np.uint64(a), np.uint64(min(a + 1, rows - 1))
+        for b in range(np.uint64(columns)):
+            low[b + _U1] = min(lows[own, b], min(lows[above, b], lows[below, b]))
+        for b in range(np.uint64(columns)):
+            marks[b] = np.uint8(tops[own, b] > min(low[b + _U1], min(low[b], low[b + _U2])) + height)
+        for k in range(len(words)):
+            rest = words[k]
+            while rest:
+                queue[n] = a * columns + 8 * k + first_byte(rest)
+                rest &= rest - _U1
+                n += 1
     return n
+
+
+@compiled
+@no_type_check
+def first_byte(word: int) -> int:
+    """Place of the first byte that is 1, of eight bytes that are 0 or 1."""
+    before = (word - _U1) & ~word & ONES
+    return np.int64(before * ONES >> np.uint64(56))
 
 
 @compiled
@@ -109,88 +127,97 @@ def mirrored(i: int, n: int) -> int:
 
 @compiled
 @no_type_check
-def smooth_tile(
-    image: np.ndarray,
-    scale: float,
-    a: int,
-    b: int,
-    block: np.ndarray,
-    half: np.ndarray,
-    smooth: np.ndarray,
-) -> None:
-    """Smooth a tile times ``scale``, and three pixels around it, by a Gaussian of one pixel; the tile begins at ``smooth[FIRST]``."""
-    h, w = image.shape
+def inside(a: int, b: int, h: int, w: int) -> bool:
+    """Whether the block of a tile does not go beyond the border of an image of h x w."""
     top, left = a * TILE - _ABOVE, b * TILE - _LEFT
-    factor = np.float32(scale)
-    if top >= 0 and left >= 0 and top + BLOCK_ROWS <= h and left + BLOCK_COLUMNS <= w:
-        part = image[top : top + BLOCK_ROWS, left : left + BLOCK_COLUMNS]
-        for i in range(0, BLOCK_ROWS, 4):
-            rows = block[i * BLOCK_COLUMNS : (i + 4) * BLOCK_COLUMNS]
-            _scale_rows(part[i], part[i + 1], part[i + 2], part[i + 3], factor, rows)
-    else:
-        for i in range(BLOCK_ROWS):
-            line = image[mirrored(top + i, h)]
-            for j in range(BLOCK_COLUMNS):
-                block[i * BLOCK_COLUMNS + j] = factor * np.float32(line[mirrored(left + j, w)])
-    smooth_block(block, half, smooth)
+    return top >= 0 and left >= 0 and top + BLOCK_ROWS <= h and left + BLOCK_COLUMNS <= w
 
 
 @compiled
 @no_type_check
-def _scale_rows(r0: np.ndarray, r1: np.ndarray, r2: np.ndarray, r3: np.ndarray, scale: float, out: np.ndarray) -> None:
-    """Four rows of a block, one after the other: so many at once, since each loop has to be prepared."""
-    n = np.uint64(BLOCK_COLUMNS)  # unsigned numbers never count from the end; so this becomes vector instructions
-    for j in range(n):
-        out[j], out[j + n] = scale * np.float32(r0[j]), scale * np.float32(r1[j])
-        out[j + n + n], out[j + n + n + n] = scale * np.float32(r2[j]), scale * np.float32(r3[j])
+def smooth_tile(image: np.ndarray, scale: float, a: int, b: int, half: np.ndarray, smooth: np.ndarray) -> None:
+    """Smooth a tile times ``scale``, and three pixels around it, by a Gaussian of one pixel; its block is inside.
 
-
-@compiled
-@no_type_check
-def smooth_block(block: np.ndarray, half: np.ndarray, smooth: np.ndarray) -> None:
-    """Smooth a block; ``half`` has six numbers more than ``smooth``."""
-    for t in range(SMOOTH_SIZE):
-        half[t] = (
-            _G0 * block[t + 96]
-            + _G1 * (block[t + 64] + block[t + 128])
-            + _G2 * (block[t + 32] + block[t + 160])
-            + _G3 * (block[t] + block[t + 192])
-        )
-    for t in range(SMOOTH_SIZE):
-        smooth[t] = (
-            _G0 * half[t + 3]
-            + _G1 * (half[t + 2] + half[t + 4])
-            + _G2 * (half[t + 1] + half[t + 5])
-            + _G3 * (half[t] + half[t + 6])
-        )
-
-
-@compiled
-@no_type_check
-def tile_peaks(smooth: np.ndarray, steep: float, flat: float, peaks: np.ndarray) -> int:
-    """Pixels that are the highest within three pixels of their row, and by more than ``steep`` higher than both of those three away; or the same
-    in their column and by more than ``flat``.
-
-    ``peaks[32 i + j]`` is 1 where pixel (i, j) of the tile is of the first kind, 2 where it is of the second, 3 where it is both. Returns what there
-    is of all of them together.
+    The tile begins at ``smooth[FIRST]``; ``half`` is work space, with six numbers more than ``smooth``.
     """
-    n = TILE * BLOCK_COLUMNS - 16
-    middle, out = smooth[FIRST:], peaks[:n]
-    left, left2, left3 = smooth[FIRST - 1 :], smooth[FIRST - 2 :], smooth[FIRST - 3 :]
-    right, right2, right3 = smooth[FIRST + 1 :], smooth[FIRST + 2 :], smooth[FIRST + 3 :]
-    up, up2, up3 = smooth[FIRST - 32 :], smooth[FIRST - 64 :], smooth[FIRST - 96 :]
-    down, down2, down3 = smooth[FIRST + 32 :], smooth[FIRST + 64 :], smooth[FIRST + 96 :]
-    least_steep, least_flat = np.float32(steep), np.float32(flat)
-    some = np.uint8(0)
-    for k in range(np.uint64(n)):
-        value = middle[k]
-        one = (value > max(left[k], left2[k])) & (value >= max(right[k], right2[k]))
-        one &= value - max(left3[k], right3[k]) > least_steep
-        two = (value > max(up[k], up2[k])) & (value >= max(down[k], down2[k]))
-        two &= value - max(up3[k], down3[k]) > least_flat
-        out[k] = np.uint8(one) | np.uint8(two) << np.uint8(1)
-        some |= out[k]
-    return some
+    _smooth_down(image, a * TILE - _ABOVE, b * TILE - _LEFT, scale, half)
+    _smooth_across(half, smooth)
+
+
+@compiled
+@no_type_check
+def smooth_border_tile(image: np.ndarray, scale: float, a: int, b: int, half: np.ndarray, smooth: np.ndarray) -> None:
+    """The same for a tile near the border.
+
+    It is a function of its own, since arrays that are used in some branches only would be counted for every tile.
+    """
+    h, w = image.shape
+    block = np.empty((BLOCK_ROWS, BLOCK_COLUMNS), image.dtype)
+    for i in range(BLOCK_ROWS):
+        row = mirrored(a * TILE - _ABOVE + i, h)
+        for j in range(BLOCK_COLUMNS):
+            block[i, j] = image[row, mirrored(b * TILE - _LEFT + j, w)]
+    smooth_block(block, scale, half, smooth)
+
+
+@compiled
+@no_type_check
+def smooth_block(block: np.ndarray, scale: float, half: np.ndarray, smooth: np.ndarray) -> None:
+    """The same for a block."""
+    _smooth_down(block, 0, 0, scale, half)
+    _smooth_across(half, smooth)
+
+
+@compiled
+@no_type_check
+def _gauss(x0: float, x1: float, x2: float, x3: float, x4: float, x5: float, x6: float) -> float:
+    """Seven values in a row, smoothed at the middle one."""
+    outer = _G2 * (np.float32(x1) + np.float32(x5)) + _G3 * (np.float32(x0) + np.float32(x6))
+    return _G0 * np.float32(x3) + _G1 * (np.float32(x2) + np.float32(x4)) + outer
+
+
+@compiled
+@no_type_check
+def _smooth_down(image: np.ndarray, top: int, left: int, scale: float, half: np.ndarray) -> None:
+    """Smooth the columns of the block that begins at pixel (top, left)."""
+    factor, first = np.float32(scale), np.uint64(left)
+    for i in range(BLOCK_ROWS - 6):
+        r = np.uint64(top + i)
+        for j in range(BLOCK_COLUMNS):
+            c = first + np.uint64(j)
+            half[i * BLOCK_COLUMNS + j] = factor * _gauss(
+                image[r, c], image[r + _U1, c], image[r + _U2, c], image[r + _U3, c], image[r + _U4, c],
+                image[r + _U5, c], image[r + _U6, c],
+            )  # fmt: skip
+
+
+@compiled
+@no_type_check
+def _smooth_across(half: np.ndarray, smooth: np.ndarray) -> None:
+    """Smooth the rows of a block."""
+    for t in range(SMOOTH_SIZE):
+        smooth[t] = _gauss(half[t], half[t + 1], half[t + 2], half[t + 3], half[t + 4], half[t + 5], half[t + 6])
+
+
+@compiled
+@no_type_check
+def tile_peaks(smooth: np.ndarray, steep: float, flat: float, bright: float, peaks: np.ndarray) -> None:
+    """Mark the pixels of a tile that are ridges, and those that are bright.
+
+    ``peaks[i, j]`` becomes the sum of 1 where pixel (i, j) is the highest within three pixels of its row, and by more than ``steep`` higher than both
+    of those three away; 2 where it is the same in its column and by more than ``flat``; and 4 where it is higher than ``bright``.
+    """
+    least_steep, least_flat, limit = np.float32(steep), np.float32(flat), np.float32(bright)
+    for i in range(TILE):
+        for j in range(TILE):
+            t = FIRST + i * BLOCK_COLUMNS + j
+            value = smooth[t]
+            one = (value > max(smooth[t - 1], smooth[t - 2])) & (value >= max(smooth[t + 1], smooth[t + 2]))
+            one &= value - max(smooth[t - 3], smooth[t + 3]) > least_steep
+            two = (value > max(smooth[t - 32], smooth[t - 64])) & (value >= max(smooth[t + 32], smooth[t + 64]))
+            two &= value - max(smooth[t - 96], smooth[t + 96]) > least_flat
+            three = value > limit
+            peaks[i, j] = np.uint8(one) | np.uint8(two) << np.uint8(1) | np.uint8(three) << np.uint8(2)
 
 
 @compiled
