@@ -10,7 +10,7 @@ import numpy as np
 from rotaline.geometry.compiled import compiled
 
 _STEP = 1e-6  # px; points closer together are one
-_BLOCK = 8  # points that share a median
+_BLOCK, _AROUND = 8, 12  # points that share a median; points on either side that it is of
 
 
 @compiled
@@ -218,35 +218,57 @@ def window_median(values: np.ndarray, start: int, stop: int, i: int, half_window
 
 @compiled
 @no_type_check
+def _none_deviates(width: np.ndarray, start: int, stop: int, begin: int, end: int, tolerance: float) -> bool:
+    """Whether all widths from ``begin`` to ``end`` are surely within the tolerance of the median about them.
+
+    They are, if more than half of the widths about them are not below what the greatest may deviate from, and more than half not above what the least may.
+    """
+    middle = (begin + end - 1) // 2
+    if middle - _AROUND < start or middle + _AROUND >= stop:
+        return False
+    least, most, usable = np.inf, 0.0, 0
+    for j in range(np.uint64(begin), np.uint64(end)):
+        w = width[j]
+        usable += w > 0.0
+        least, most = w if w < least else least, w if w > most else most
+    high, low = most / (1.0 + tolerance), least / (1.0 - tolerance)
+    above = below = 0
+    for j in range(2 * _AROUND + 1):
+        w = width[np.uint64(middle - _AROUND + j)]
+        above += w >= high
+        below += w <= low
+    return usable == end - begin and min(above, below) > _AROUND
+
+
+@compiled
+@no_type_check
 def alike(width: np.ndarray, starts: np.ndarray, tolerance: float, good: np.ndarray) -> None:
     """Take ``good`` from points whose profile is not as wide as its neighbours' are.
 
-    As :func:`rotaline.vision.stripe.plain.trace.alike`, with one median for every eight points.
+    As :func:`rotaline.vision.stripe.plain.trace.alike`, with one median for every eight points; none where counting tells that no point deviates.
     """
-    scratch = np.empty(64)
+    n_all = len(width)
+    scratch, deviation = np.empty(64), np.empty(n_all)
     for c in range(len(starts) - 1):
         start, stop = starts[c], starts[c + 1]
-        least, most = np.inf, 0.0
-        for i in range(start, stop):
-            w = width[i]
-            if not w > 0.0:
-                least = -np.inf
-            least, most = min(least, w), max(most, w)
-        if most - least <= tolerance * least:
-            continue
-        n = stop - start
-        deviation = np.empty(n)
+        n, known = stop - start, 0  # the deviations of the points before this one are known, where they are asked for
         for begin in range(0, n, _BLOCK):
             end = min(begin + _BLOCK, n)
-            usual = window_median(width, start, stop, start + (begin + end - 1) // 2, 12, scratch)
-            for j in range(begin, end):
-                deviation[j] = abs(width[start + j] - usual) / usual
-        for j in range(n):
-            if deviation[j] > tolerance:
-                if deviation[j] > tolerance + 4.0 * window_median(deviation, 0, n, j, 20, scratch):
-                    good[start + j] = False
-            elif not deviation[j] <= tolerance:
-                good[start + j] = False
+            if _none_deviates(width, start, stop, start + begin, start + end, tolerance):
+                continue
+            low, high = max(begin - 3 * _BLOCK, known), min(begin + 4 * _BLOCK, n)
+            for first in range(low, high, _BLOCK):
+                last = min(first + _BLOCK, n)
+                usual = window_median(width, start, stop, start + (first + last - 1) // 2, _AROUND, scratch)
+                for j in range(start + first, start + last):
+                    deviation[j] = abs(width[j] - usual) / usual
+            known = high
+            for j in range(start + begin, start + end):
+                if deviation[j] > tolerance:
+                    if deviation[j] > tolerance + 4.0 * window_median(deviation, start, stop, j, 20, scratch):
+                        good[j] = False
+                elif not deviation[j] <= tolerance:
+                    good[j] = False
 
 
 @compiled

@@ -4,14 +4,14 @@ import numpy as np
 
 from rotaline.vision.stripe.centres import Centres
 from rotaline.vision.stripe.found import FoundStripe
-from rotaline.vision.stripe.gravity_kernels import centres_on_lines, whole_lines
-from rotaline.vision.stripe.measure import NOISE_FROM, Measured
+from rotaline.vision.stripe.gravity_kernels import centres_on_lines
+from rotaline.vision.stripe.line_kernels import read_lines
+from rotaline.vision.stripe.measure import Measured
 from rotaline.vision.stripe.plane import Plane
-from rotaline.vision.stripe.strips import strips_of
+from rotaline.vision.stripe.row_kernels import whole_lines
 from rotaline.vision.stripe.trace import Trace
 
-_SIDE = 3.0  # widths: the background begins
-_REACH, _REACH_PX = 3.5, 3.0  # widths and px to both sides
+_WIDTH_PX = 1.5  # of the stripe, to begin with
 
 
 def measure_on_lines(found: FoundStripe, plane: Plane) -> Measured | None:
@@ -21,14 +21,15 @@ def measure_on_lines(found: FoundStripe, plane: Plane) -> Measured | None:
     """
     if len(found.uv) == 0 or (found.scale_px > 1.0).any():
         return None
-    uv, starts, width, along = whole_lines(found.uv, found.chain)
+    uv, starts, width, along = whole_lines(found.uv, found.chain, _WIDTH_PX)
+    value, source = plane.value, plane.source
     for again in (True, False):
-        reach = _REACH * width + _REACH_PX
-        strips = strips_of(plane, uv, along, reach, 1)
+        strips = read_lines(
+            value.reshape(-1), source.reshape(-1), value is not source, float(plane.limit), plane.size, uv, along, width
+        )
         width, enough, normal, shift, u, wide, height, noise, floor, saturated = centres_on_lines(
-            uv, starts, width, along, reach, strips.first, strips.count, strips.distance, strips.level, strips.share,
-            strips.clipped, strips.hits, 0.29 * plane.unit, NOISE_FROM, _SIDE, again,
-        )  # fmt: skip
+            uv, starts, width, along, *strips, 0.29 * plane.unit, again
+        )
         if enough:
             break
     return Measured(

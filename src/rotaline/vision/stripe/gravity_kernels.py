@@ -5,73 +5,40 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.centre_kernels import subtract_sides, weighted_centroids
-from rotaline.vision.stripe.chain_kernels import alike, starts_of, window_mean
-from rotaline.vision.stripe.measure_kernels import clipped_cores
-from rotaline.vision.stripe.row_kernels import cross_lines, flat_centroids
-from rotaline.vision.stripe.strip_kernels import BLOCK
+from rotaline.vision.stripe.chain_kernels import alike, window_mean
+from rotaline.vision.stripe.line_kernels import BLOCK, flat_centroids, rough_centres
 from rotaline.vision.stripe.trace_kernels import normals
 from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_floor
 
-_CHORD = 6  # points on either side that settle the direction
-_WIDTH_PX = 1.5  # of the stripe, to begin with
-_SHORT_PX = 0.3  # a step is the last when it is shorter: good enough to know the width
 _FINE_PX = 0.05  # misfit of a line that is not worth a one-sided window
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.4, 40.0
 _LAG, _PAIRS = 3, 64  # points between strips whose pixels are compared; such pairs a chain
-
-
-@compiled
-@no_type_check
-def whole_lines(uv: np.ndarray, chain: np.ndarray) -> tuple:
-    """The points of the found chains on whole rows or columns.
-
-    Returns
-    -------
-    points, starts, widths as seen along the row or column, direction of the row or column
-    """
-    starts = starts_of(chain)
-    n = len(uv)
-    normal, width = np.empty((n, 2)), np.empty(n)
-    for c in range(len(starts) - 1):
-        for i in range(starts[c], starts[c + 1]):
-            a, b = max(i - _CHORD, starts[c]), min(i + _CHORD, starts[c + 1] - 1)
-            du, dv = uv[b, 0] - uv[a, 0], uv[b, 1] - uv[a, 1]
-            length = max(np.sqrt(du * du + dv * dv), 1e-9)
-            normal[i, 0], normal[i, 1], width[i] = -dv / length, du / length, _WIDTH_PX
-    points, edges, wide, along, _ = cross_lines(uv, starts, width, normal)
-    return points, edges, wide, along
+_NOISE_FROM, _CORE = (
+    3.3,
+    1.5,
+)  # widths: pixels further out tell the noise; a clipped one as near makes the point saturated
 
 
 @compiled
 @no_type_check
 def _differences(
     starts: np.ndarray,
-    uv: np.ndarray,
     along: np.ndarray,
-    first: np.ndarray,
-    count: np.ndarray,
-    distance: np.ndarray,
-    level: np.ndarray,
-    share: np.ndarray,
-    line: np.ndarray,
+    middle: np.ndarray,
+    half: np.ndarray,
+    off: np.ndarray,
+    ground: np.ndarray,
     shift: np.ndarray,
     width: np.ndarray,
-    near: float,
 ) -> tuple:
     """As :func:`rotaline.vision.stripe.strip_kernels.side_differences`, from strips that hold the pixels of one row or column each.
 
-    Beyond ``near`` widths; the strips' own pixels are compared with those of the other strip, interpolated.
+    The strips' own pixels are compared with those of the other strip as far from its centre, interpolated.
     """
-    n_chains = len(starts) - 1
-    room = 0
-    for c in range(n_chains):
-        pairs = min(max(starts[c + 1] - starts[c] - _LAG, 0), _PAIRS)
-        longest = 0
-        for i in range(starts[c], starts[c + 1]):
-            longest = max(longest, count[i])
-        room += pairs * longest
-    out, ends = np.empty(room), np.zeros(n_chains + 1, np.int64)
+    n_chains, longest = len(starts) - 1, 0
+    for h in half:
+        longest = max(longest, 2 * h + 1)
+    out, ends = np.empty(n_chains * _PAIRS * longest), np.zeros(n_chains + 1, np.int64)
     m = 0
     for c in range(n_chains):
         n_pairs = starts[c + 1] - starts[c] - _LAG
@@ -79,27 +46,25 @@ def _differences(
         for k in range(pairs):
             i = starts[c] + (k * n_pairs) // pairs
             j = i + _LAG
-            if along[i, 0] != along[j, 0] or along[i, 1] != along[j, 1]:
+            if along[i, 0] != along[j, 0]:
                 continue
-            x, step = distance[first[i]] - shift[i], along[i, 0] + along[i, 1]
-            off = (x + shift[j] - distance[first[j]]) / step
-            further = int(np.floor(off))
-            g = off - further
-            middle, side = -x / step, near * width[i]
-            inner, outer = int(np.ceil(middle - side)), int(np.floor(middle + side)) + 1
-            begin, end = max(0, -further), min(count[i], count[j] - 1 - further)
+            h, own, other = half[i // BLOCK], middle[i // BLOCK] + i % BLOCK, middle[j // BLOCK] + j % BLOCK
+            centre = shift[i] - off[i]
+            further = shift[j] - off[j] - centre
+            whole = int(np.floor(further))
+            g = np.float32(further - whole)
             gain = 1.0 / np.sqrt(2.0 - 2.0 * g * (1.0 - g))
-            # what was taken away: lines in d; the other strip's is looked at as far from its centre
-            level_i, level_j = line[i, 0] + line[i, 1] * shift[i], line[j, 0] + line[j, 1] * shift[j]
-            back, slope = level_i - level_j, line[i, 1] - line[j, 1]
-            for half in range(2):
-                low, high = (max(begin, outer), end) if half else (begin, min(inner, end))
-                for place in range(low, high):
-                    one, two = first[i] + BLOCK * place, first[j] + BLOCK * (place + further)
-                    if min(share[one], min(share[two], share[two + BLOCK])) > 0.0:
-                        q = (1.0 - g) * level[two] + g * level[two + BLOCK]
-                        out[m] = abs(level[one] - q + back + slope * (x + step * place)) * gain
-                        m += 1
+            side = _NOISE_FROM * width[i]
+            inner, outer = int(np.ceil(centre - side)), int(np.floor(centre + side)) + 1
+            begin, end = max(-h, -half[j // BLOCK] - whole), min(h, half[j // BLOCK] - 1 - whole) + 1
+            for beyond in range(2):
+                low, high = (max(begin, outer), end) if beyond else (begin, min(inner, end))
+                for t in range(low, high):
+                    there = other + BLOCK * (t + whole)
+                    p = ground[np.uint64(there)]
+                    q = p + g * (ground[np.uint64(there + BLOCK)] - p) - ground[np.uint64(own + BLOCK * t)]
+                    out[m] = abs(q) * gain
+                    m += q == q
         ends[c + 1] = m
     return out[:m], ends
 
@@ -111,17 +76,13 @@ def centres_on_lines(
     starts: np.ndarray,
     width_px: np.ndarray,
     along: np.ndarray,
-    reach_px: np.ndarray,
-    first: np.ndarray,
-    count: np.ndarray,
-    distance: np.ndarray,
+    middle: np.ndarray,
+    half: np.ndarray,
+    off: np.ndarray,
     level: np.ndarray,
-    share: np.ndarray,
-    clipped: np.ndarray,
+    ground: np.ndarray,
     hits: np.ndarray,
     least_noise: float,
-    noise_from: float,
-    side: float,
     again: bool,
 ) -> tuple:
     """Where the stripe is in strips along rows and columns: the centroid of what stands above the background.
@@ -129,10 +90,8 @@ def centres_on_lines(
     Parameters
     ----------
     along : (n, 2)   direction of the row or column of each point
-    reach_px : (n,)   half length of the strips
-    level : grey values in, what stands above a line through the sides out
+    middle, half, off, level, ground, hits : of :func:`rotaline.vision.stripe.line_kernels.read_lines`
     least_noise : float   of a pixel
-    noise_from, side : float   widths: pixels further out tell the noise; the background begins
     again : bool   to stop when the strips do not reach far enough
 
     Returns
@@ -146,40 +105,36 @@ def centres_on_lines(
     saturated : (n,) bool
     """
     n = len(uv)
-    line, sides = np.empty((n, 3)), np.empty((n, 2))
-    subtract_sides(first, count, distance, level, share, clipped, hits, width_px, line, sides)
-    shift, measured, good, height = np.empty(n), np.empty(n), np.empty(n, np.bool_), np.empty(n)
-    weighted_centroids(
-        first, count, 1, distance, level, share, line[:, 2], np.zeros(n), width_px, 1.0, _SHORT_PX, shift, np.empty(0),
-        measured, height,
-    )  # fmt: skip
-    moved, width = np.empty((n, 2)), np.empty(n)
+    rough, rough_width, total = rough_centres(middle, half, off, level, ground, width_px)
+    shift, measured, width, good = np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.bool_)
+    moved = np.empty((n, 2))
     any_hits = False
     for i in range(n):
-        good[i] = abs(shift[i]) <= 1.5 * width_px[i] + 1.0
-        wide = measured[i] if good[i] else width_px[i]
+        good[i] = abs(rough[i]) <= 1.5 * width_px[i] + 1.0
+        wide = rough_width[i] if good[i] else width_px[i]
         measured[i] = min(max(wide, _LEAST_WIDTH_PX), _MOST_WIDTH_PX)
-        if not good[i]:
-            shift[i] = 0.0
+        shift[i] = rough[i] if good[i] else 0.0
         moved[i, 0], moved[i, 1] = uv[i, 0] + shift[i] * along[i, 0], uv[i, 1] + shift[i] * along[i, 1]
         any_hits |= hits[i] > 0
     alike(measured, starts, 0.25, good)
     window_mean(measured, starts, 10, width)
     enough = True
     for i in range(n):
-        enough &= side * width[i] + 2.0 <= reach_px[i]
+        enough &= 3.0 * width[i] + 2.5 <= half[i // BLOCK]
     if again and not enough:
         none, no_shift = np.empty((0, 2)), np.empty(0)
         return width, False, none, no_shift, no_shift, no_shift, no_shift, no_shift, 0.0, good
-    differences, ends = _differences(
-        starts, uv, along, first, count, distance, level, share, line, shift, width, noise_from
-    )
+    differences, ends = _differences(starts, along, middle, half, off, ground, shift, width)
     noise = pixel_noise(differences, ends, starts, least_noise)
     normal = normals(moved, starts, _FINE_PX)
     saturated = np.zeros(n, np.bool_)
     if any_hits:
-        saturated = clipped_cores(hits, shift, width, first, count, distance, clipped)
-    centre, u, wide_px, high = flat_centroids(first, count, distance, level, share, clipped, hits, width, shift)
+        for i in range(n):
+            at, h, core = middle[i // BLOCK] + i % BLOCK, half[i // BLOCK], _CORE * width[i]
+            for t in range(-h, h + 1 if hits[i] > 0 else -h):
+                clipped = np.isnan(ground[at + t * BLOCK]) and not np.isnan(level[at + t * BLOCK])
+                saturated[i] |= clipped and abs(t + off[i] - shift[i]) <= core
+    centre, u, wide_px, high = flat_centroids(middle, half, off, level, ground, total, width, shift)
     for i in range(n):
         if not good[i]:
             centre[i] = np.nan

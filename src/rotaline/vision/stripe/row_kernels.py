@@ -5,10 +5,11 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.chain_kernels import window_mean
+from rotaline.vision.stripe.chain_kernels import starts_of, window_mean
 from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _UNDECIDED = 0.15  # difference of the normal's components
+_AROUND_PX = 8.0  # to both sides, along the stripe: the direction that decides between rows and columns
 _SIDE = 3.0  # widths: the background begins, the window ends
 _LEAST_SIDE = 2  # pixels
 _PASSES = 3
@@ -21,10 +22,62 @@ _N, _BELOW, _X1, _X2, _Q, _XQ, _XXQ = (k * BLOCK for k in range(4, 11))
 
 @compiled
 @no_type_check
-def cross_lines(uv: np.ndarray, starts: np.ndarray, width_px: np.ndarray, normal: np.ndarray) -> tuple:
-    """Where a curve crosses whole rows (where it is steep) or whole columns (where it is flat).
+def _crossings(uv: np.ndarray, starts: np.ndarray, balance: np.ndarray) -> tuple:
+    """Where chains cross whole rows (where they are steep: the balance is positive) or whole columns (where they are flat).
 
     Near 45 deg what held before goes on.
+
+    Returns
+    -------
+    points, starts, steep : (pieces,) bool
+    after, part   the point behind each crossing, and where the crossing is on the way there from the one before it
+    """
+    n = len(uv)
+    most = int(2 * n + 2 * len(starts))
+    points, after, part = np.empty((most, 2)), np.empty(most, np.int64), np.empty(most)
+    edges, kinds = np.empty(n + len(starts), np.int64), np.empty(n + len(starts), np.bool_)
+    m, pieces = 0, 0
+    for c in range(len(starts) - 1):
+        begin = starts[c]
+        steep = balance[begin] >= 0.0
+        while begin < starts[c + 1]:
+            stop = begin + 1
+            later = steep
+            while stop < starts[c + 1]:
+                if abs(balance[stop]) > _UNDECIDED:
+                    later = balance[stop] >= 0.0
+                    if later != steep:
+                        break
+                stop += 1
+            k = 1 if steep else 0
+            sense = 1.0 if uv[stop - 1, k] >= uv[begin, k] else -1.0
+            line = sense * uv[begin, k]
+            whole = np.ceil(line)
+            first = m
+            for i in range(begin + 1, stop):
+                end = max(line, sense * uv[i, k])
+                while whole <= end and m < most:
+                    f = (whole - line) / (end - line) if end > line else 0.0
+                    points[m, k] = sense * whole
+                    points[m, 1 - k] = uv[i - 1, 1 - k] + f * (uv[i, 1 - k] - uv[i - 1, 1 - k])
+                    after[m], part[m] = i, f
+                    m += 1
+                    whole += 1.0
+                line = end
+            if m - first >= 2:
+                edges[pieces], kinds[pieces] = first, steep
+                pieces += 1
+            else:
+                m = first
+            begin, steep = stop, later
+    edges[pieces] = m
+    return points[:m], edges[: pieces + 1], kinds[:pieces], after[:m], part[:m]
+
+
+@compiled
+@no_type_check
+def cross_lines(uv: np.ndarray, starts: np.ndarray, width_px: np.ndarray, normal: np.ndarray) -> tuple:
+    """Where a curve of points one pixel apart crosses whole rows (where it is steep) or whole columns (where it is flat).
 
     Returns
     -------
@@ -35,52 +88,57 @@ def cross_lines(uv: np.ndarray, starts: np.ndarray, width_px: np.ndarray, normal
     for i in range(n):
         balance[i] = abs(normal[i, 0]) - abs(normal[i, 1])
     window_mean(balance, starts, 10, mean)
-    most = int(2 * n + 2 * len(starts))
-    points, own, along, wide = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2)), np.empty(most)
-    edges = np.empty(n + len(starts), np.int64)
-    m, pieces = 0, 0
+    points, edges, steep, after, part = _crossings(uv, starts, mean)
+    m = len(points)
+    own, along, wide = np.empty((m, 2)), np.zeros((m, 2)), np.empty(m)
+    for c in range(len(edges) - 1):
+        k = 0 if steep[c] else 1
+        for j in range(edges[c], edges[c + 1]):
+            i, f = after[j], part[j]
+            nu = normal[i - 1, 0] + f * (normal[i, 0] - normal[i - 1, 0])
+            nv = normal[i - 1, 1] + f * (normal[i, 1] - normal[i - 1, 1])
+            norm = np.sqrt(nu * nu + nv * nv)
+            own[j, 0], own[j, 1] = nu / norm, nv / norm
+            along[j, k] = 1.0 if own[j, k] >= 0.0 else -1.0
+            wide[j] = (width_px[i - 1] + f * (width_px[i] - width_px[i - 1])) / max(abs(own[j, k]), 0.5)
+    return points, edges, wide, along, own
+
+
+@compiled
+@no_type_check
+def whole_lines(uv: np.ndarray, chain: np.ndarray, width_px: float) -> tuple:
+    """Where the chains that were found cross whole rows or columns; their points may be some pixels apart.
+
+    Returns
+    -------
+    points, starts, widths as seen along the row or column, direction of the row or column
+    """
+    starts = starts_of(chain)
+    n = len(uv)
+    balance, cosine, at = np.empty(n), np.empty((n, 2)), np.empty(n)
     for c in range(len(starts) - 1):
-        begin = starts[c]
-        steep = mean[begin] >= 0.0
-        while begin < starts[c + 1]:
-            stop = begin + 1
-            later = steep
-            while stop < starts[c + 1]:
-                if abs(mean[stop]) > _UNDECIDED:
-                    later = mean[stop] >= 0.0
-                    if later != steep:
-                        break
-                stop += 1
-            k = 1 if steep else 0
-            sense = 1.0 if uv[stop - 1, k] >= uv[begin, k] else -1.0
-            line = sense * uv[begin, k]
-            whole = np.ceil(line)
-            first = m
-            for i in range(begin + 1, stop):
-                after = max(line, sense * uv[i, k])
-                while whole <= after and m < most:
-                    f = (whole - line) / (after - line) if after > line else 0.0
-                    nu = normal[i - 1, 0] + f * (normal[i, 0] - normal[i - 1, 0])
-                    nv = normal[i - 1, 1] + f * (normal[i, 1] - normal[i - 1, 1])
-                    norm = np.hypot(nu, nv)
-                    points[m, k] = sense * whole
-                    points[m, 1 - k] = uv[i - 1, 1 - k] + f * (uv[i, 1 - k] - uv[i - 1, 1 - k])
-                    own[m, 0], own[m, 1] = nu / norm, nv / norm
-                    component = own[m, 1 - k]
-                    along[m, k], along[m, 1 - k] = 0.0, 1.0 if component >= 0.0 else -1.0
-                    cosine = max(abs(component), 0.5)
-                    wide[m] = (width_px[i - 1] + f * (width_px[i] - width_px[i - 1])) / cosine
-                    m += 1
-                    whole += 1.0
-                line = after
-            if m - first >= 2:
-                edges[pieces] = first
-                pieces += 1
-            else:
-                m = first
-            begin, steep = stop, later
-    edges[pieces] = m
-    return points[:m], edges[: pieces + 1], wide[:m], along[:m], own[:m]
+        a = b = starts[c]
+        last = starts[c + 1] - 1
+        at[a] = 0.0
+        for i in range(starts[c] + 1, starts[c + 1]):
+            du, dv = uv[i, 0] - uv[i - 1, 0], uv[i, 1] - uv[i - 1, 1]
+            at[i] = at[i - 1] + np.sqrt(du * du + dv * dv)
+        for i in range(starts[c], starts[c + 1]):
+            while at[a] < min(at[i], at[last] - _AROUND_PX) - _AROUND_PX:
+                a += 1
+            while b < last and at[b + 1] <= max(at[i], _AROUND_PX) + _AROUND_PX:
+                b += 1
+            du, dv = abs(uv[b, 0] - uv[a, 0]), abs(uv[b, 1] - uv[a, 1])
+            length = max(np.sqrt(du * du + dv * dv), 1e-9)
+            cosine[i, 0], cosine[i, 1] = dv / length, du / length
+            balance[i] = cosine[i, 0] - cosine[i, 1]
+    points, edges, steep, after, _ = _crossings(uv, starts, balance)
+    along, wide = np.zeros((len(points), 2)), np.empty(len(points))
+    for c in range(len(edges) - 1):
+        k = 0 if steep[c] else 1
+        for j in range(edges[c], edges[c + 1]):
+            along[j, k], wide[j] = 1.0, width_px / max(cosine[after[j], k], 0.5)
+    return points, edges, wide, along
 
 
 @compiled

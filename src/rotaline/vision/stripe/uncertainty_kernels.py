@@ -11,6 +11,7 @@ _GRAINY = 1.25
 _TRIM = 0.9
 _TRIMMED_TO_SIGMA = 1.267  # of a Gaussian cut at its 90 % quantile
 _LEAST_PAIRS, _LEAST_POINTS = 40, 40
+_REACH = 6  # points to the outermost of those that tell the scatter of one, at the shorter distance
 
 
 @compiled
@@ -57,30 +58,30 @@ def scatter_and_floor(
         s = shift_px[i] if found else 0.0
         u[i], v[i] = uv[i, 0] + s * normal[i, 0], uv[i, 1] + s * normal[i, 1]
         stated[i] = u_px[i] * noise[i] if found else 9.0
-    scratch, scatter, clear = np.empty(n), np.empty(n), np.empty(n)
-    first = measured = expected = limit = 0.0
+    scratch, m = np.empty(n), 0
+    for c in range(len(starts) - 1):
+        for i in range(starts[c] + _REACH, starts[c + 1] - _REACH):
+            scratch[m] = stated[i]
+            m += 1
+    if m < _LEAST_POINTS:
+        return 0.0, 0.0
+    middle = median_of(scratch, m)
+    expected = median_of(scratch, (m + 1) // 2)  # the lower half stands first now
+    first = measured = limit = 0.0
     for lag in (3, 8):
         reach = 2 * lag
-        m = 0
+        m = clear = 0
         for c in range(len(starts) - 1):
+            m += max(starts[c + 1] - starts[c] - 2 * reach, 0)
             for i in range(starts[c] + reach, starts[c + 1] - reach):
-                scratch[m] = stated[i]
-                m += 1
+                du = u[i - reach] - 4.0 * u[i - lag] + 6.0 * u[i] - 4.0 * u[i + lag] + u[i + reach]
+                dv = v[i - reach] - 4.0 * v[i - lag] + 6.0 * v[i] - 4.0 * v[i + lag] + v[i + reach]
+                scratch[clear] = abs(du * normal[i, 0] + dv * normal[i, 1])
+                clear += stated[i] <= middle
         if m < _LEAST_POINTS:
             break
-        middle = median_of(scratch, m)
-        m = 0
-        for c in range(len(starts) - 1):
-            for i in range(starts[c] + reach, starts[c + 1] - reach):
-                if stated[i] <= middle:
-                    du = u[i - reach] - 4.0 * u[i - lag] + 6.0 * u[i] - 4.0 * u[i + lag] + u[i + reach]
-                    dv = v[i - reach] - 4.0 * v[i - lag] + 6.0 * v[i] - 4.0 * v[i + lag] + v[i + reach]
-                    scatter[m] = abs(du * normal[i, 0] + dv * normal[i, 1])
-                    clear[m] = stated[i]
-                    m += 1
-        expected = median_of(clear, m)
-        limit = expected * (1.0 + 3.5 / np.sqrt(m))
-        found_now = 1.4826 / np.sqrt(70.0) * median_of(scatter, m)
+        limit = expected * (1.0 + 3.5 / np.sqrt(clear))
+        found_now = 1.4826 / np.sqrt(70.0) * median_of(scratch, clear)
         if lag == 3:
             first = measured = found_now
         elif found_now > _GRAINY * first:
