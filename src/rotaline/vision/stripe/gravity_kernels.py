@@ -5,11 +5,11 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.chain_kernels import alike, window_mean
+from rotaline.vision.stripe.chain_kernels import window_mean
 from rotaline.vision.stripe.line_kernels import BLOCK, flat_centroids, rough_centres
-from rotaline.vision.stripe.trace_kernels import normals
 from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_floor
 
+_WINDOW = 6  # points on either side that settle the direction
 _FINE_PX = 0.05  # misfit of a line that is not worth a one-sided window
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.4, 40.0
 _LAG, _PAIRS = 3, 64  # points between strips whose pixels are compared; such pairs a chain
@@ -17,6 +17,51 @@ _NOISE_FROM, _CORE = (
     3.3,
     1.5,
 )  # widths: pixels further out tell the noise; a clipped one as near makes the point saturated
+
+
+@compiled
+@no_type_check
+def line_normals(uv: np.ndarray, starts: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Normals of pieces with a point on every row, or on every column, (n, 2).
+
+    As :func:`rotaline.vision.stripe.chain_kernels.local_lines` settles them, to which the rows are no news.
+    """
+    normal, total = np.empty_like(uv), np.zeros((len(uv) + 1, 3))
+    floor = _FINE_PX * _FINE_PX
+    for c in range(len(starts) - 1):
+        start, end = starts[c], starts[c + 1] - 1 - starts[c]
+        k = 0 if along[start, 0] != 0.0 else 1
+        sense = uv[start + 1, 1 - k] - uv[start, 1 - k]
+        s0, s1, s2 = 0.0, 0.0, 0.0
+        for i in range(end + 1):
+            y = uv[start + i, k] - uv[start, k]
+            s0, s1, s2 = s0 + y, s1 + y * i, s2 + y * y
+            total[i + 1, 0], total[i + 1, 1], total[i + 1, 2] = s0, s1, s2
+        for i in range(end + 1):
+            before, after = max(i - _WINDOW, 0), min(i + _WINDOW, end)
+            low, high = min(before, max(end - _WINDOW, 0)), max(after, min(_WINDOW, end))
+            misfit, slope = _line(total, low, high)
+            if misfit > 3.0 * floor:  # or else a one-sided window cannot be better
+                for side in range(2):
+                    low, high = (min(i, max(end - _WINDOW, 0)), after) if side else (before, max(i, min(_WINDOW, end)))
+                    other, other_slope = _line(total, low, high)
+                    if 4.0 * (other + floor) < misfit + floor:
+                        misfit, slope = 4.0 * (other + floor) - floor, other_slope
+            norm = np.sqrt(1.0 + slope * slope) * (1.0 if k else -1.0)
+            normal[start + i, k], normal[start + i, 1 - k] = sense / norm, -slope / norm
+    return normal
+
+
+@compiled
+@no_type_check
+def _line(total: np.ndarray, low: int, high: int) -> tuple:
+    """Mean square misfit and slope of the line through the points ``low`` to ``high``, from sums of y, i y and y y."""
+    count, mean_i = high + 1.0 - low, 0.5 * (low + high)
+    variance = max(count * (count * count - 1.0) / 12.0, 1e-9)
+    mean = (total[high + 1, 0] - total[low, 0]) / count
+    slope = (total[high + 1, 1] - total[low, 1] - mean_i * mean * count) / variance
+    rest = total[high + 1, 2] - total[low, 2] - count * mean * mean - variance * slope * slope
+    return max(rest, 0.0) / max(count - 2.0, 1.0), slope
 
 
 @compiled
@@ -38,7 +83,7 @@ def _differences(
     n_chains, longest = len(starts) - 1, 0
     for h in half:
         longest = max(longest, 2 * h + 1)
-    out, ends = np.empty(n_chains * _PAIRS * longest), np.zeros(n_chains + 1, np.int64)
+    out, ends = np.empty(n_chains * _PAIRS * longest, np.float32), np.zeros(n_chains + 1, np.int64)
     m = 0
     for c in range(n_chains):
         n_pairs = starts[c + 1] - starts[c] - _LAG
@@ -99,7 +144,7 @@ def centres_on_lines(
     width : (n,)   along the row or column, averaged along the stripe
     enough : bool   the strips are long enough; otherwise what follows is empty
     normals : (n, 2)   of the stripe
-    shifts, uncertainties for a noise of 1, widths, heights; shifts are NaN where there is no stripe, or it is not as wide as beside
+    shifts, uncertainties for a noise of 1, widths, heights; shifts are NaN where there is no stripe
     noise : (n,)   of a pixel
     floor : float   scatter of the centres that the noise does not explain
     saturated : (n,) bool
@@ -116,7 +161,6 @@ def centres_on_lines(
         shift[i] = rough[i] if good[i] else 0.0
         moved[i, 0], moved[i, 1] = uv[i, 0] + shift[i] * along[i, 0], uv[i, 1] + shift[i] * along[i, 1]
         any_hits |= hits[i] > 0
-    alike(measured, starts, 0.25, good)
     window_mean(measured, starts, 10, width)
     enough = True
     for i in range(n):
@@ -126,7 +170,7 @@ def centres_on_lines(
         return width, False, none, no_shift, no_shift, no_shift, no_shift, no_shift, 0.0, good
     differences, ends = _differences(starts, along, middle, half, off, ground, shift, width)
     noise = pixel_noise(differences, ends, starts, least_noise)
-    normal = normals(moved, starts, _FINE_PX)
+    normal = line_normals(moved, starts, along)
     saturated = np.zeros(n, np.bool_)
     if any_hits:
         for i in range(n):

@@ -122,14 +122,12 @@ def sound_points(
         u[i] = np.sqrt((u_px[i] * noise[i]) ** 2 + floor * floor + u_edge[i] ** 2) * cosine
         reach_u, reach_v = abs(along[i, 0]) * 2.0 * traced_px[i], abs(along[i, 1]) * 2.0 * traced_px[i]
         good[i] = (
-            abs(shift[i]) <= width[i] + 1.0
-            and u[i] < 1.0
-            and height[i] > 2.5 * noise[i]
-            and height[i] > least_height
-            and uv[i, 0] >= reach_u
-            and uv[i, 1] >= reach_v
-            and uv[i, 0] + reach_u <= size[0] - 1.0
-            and uv[i, 1] + reach_v <= size[1] - 1.0
+            (abs(shift[i]) <= width[i] + 1.0)
+            & (u[i] < 1.0)
+            & (height[i] > max(2.5 * noise[i], least_height))
+            & (min(uv[i, 0] - reach_u, uv[i, 1] - reach_v) >= 0.0)
+            & (uv[i, 0] + reach_u <= size[0] - 1.0)
+            & (uv[i, 1] + reach_v <= size[1] - 1.0)
         )
     alike(width, starts, 0.2, good)
     for i in range(n):
@@ -138,25 +136,31 @@ def sound_points(
         tangent[i, 0], tangent[i, 1] = normal[i, 1], -normal[i, 0]
     index, edges = break_chains(moved, tangent, good, starts, least)
     keep = sound_ends(moved[index], edges, width[index])
-    chosen, pieces = break_chains(moved[index], tangent[index], keep, edges, least)
-    index = index[chosen]
-    m = len(index)
-    wide, high, stated, top = np.empty(m), np.empty(m), np.empty(m), np.empty(m, np.bool_)
-    segment, out, across = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2))
+    most = len(index)
+    wide, high, stated, top = np.empty(most), np.empty(most), np.empty(most), np.empty(most, np.bool_)
+    segment, out, across = np.empty(most, np.int64), np.empty((most, 2)), np.empty((most, 2))
+    m = pieces = 0
     plain = True
-    for c in range(len(pieces) - 1):
-        most, widest = 0.0, 0.0
-        for j in range(pieces[c], pieces[c + 1]):
+    for c in range(len(edges) - 1):
+        begin, end = edges[c], edges[c + 1]
+        while begin < end and not keep[begin]:
+            begin += 1
+        while begin < end and not keep[end - 1]:
+            end -= 1
+        if end - begin < least:
+            continue
+        first, highest, widest = m, 0.0, 0.0
+        for j in range(begin, end):
             i = index[j]
-            segment[j] = c
             cosine = abs(along[i, 0] * normal[i, 0] + along[i, 1] * normal[i, 1])
-            out[j, 0], out[j, 1] = moved[i, 0], moved[i, 1]
-            across[j, 0], across[j, 1] = normal[i, 0], normal[i, 1]
-            wide[j], high[j], stated[j], top[j] = width[i] * cosine, height[i], u[i], saturated[i]
-            most, widest = max(most, high[j]), max(widest, wide[j])
+            out[m, 0], out[m, 1], across[m, 0], across[m, 1] = moved[i, 0], moved[i, 1], normal[i, 0], normal[i, 1]
+            wide[m], high[m], stated[m], top[m] = width[i] * cosine, height[i], u[i], saturated[i]
+            segment[m] = pieces
+            highest, widest = max(highest, high[m]), max(widest, wide[m])
+            m += 1
         core = 0
-        for j in range(pieces[c], pieces[c + 1]):
-            core += high[j] > LEAST_PART * most
-        count = pieces[c + 1] - pieces[c]
-        plain &= count >= min_length and count >= _MOST + _REFERENCE and core >= SLENDER * widest
-    return out, across, wide, high, stated, top, segment, plain
+        for j in range(first, m):
+            core += high[j] > LEAST_PART * highest
+        plain &= m - first >= min_length and m - first >= _MOST + _REFERENCE and core >= SLENDER * widest
+        pieces += 1
+    return out[:m], across[:m], wide[:m], high[:m], stated[:m], top[:m], segment[:m], plain

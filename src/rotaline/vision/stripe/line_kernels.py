@@ -84,21 +84,23 @@ def read_lines(
     ground, apart = level, False
     top = _F(limit)
     for b in range(blocks):
-        h, most = half[b], _ZERO
+        h, bright = half[b], 0
         begin, end = middle[b] - h * BLOCK, middle[b] + (h + 1) * BLOCK
         for k in range(BLOCK):
             pixel, stride, place, last, off[b * BLOCK + k] = _run_of_pixels(uv, along, size, min(b * BLOCK + k, n - 1))
-            low, high = max(-h, -place), min(h, last - place)
-            for t in range(-h, h + 1 if high - low < 2 * h else -h):
-                level[np.uint64(middle[b] + t * BLOCK + k)] = _NONE
-            at, there = np.uint64(pixel + low * stride), np.uint64(middle[b] + low * BLOCK + k)
-            for _ in range(low, high + 1):
-                q = _F(value[at])
-                level[there] = q
-                most = q if q > most else most
-                at += np.uint64(stride)
-                there += np.uint64(BLOCK)
-        if apart or subtracted or most >= top:
+            at, there = np.uint64(pixel - h * stride), np.uint64(begin + k)
+            if h <= place <= last - h:
+                for _ in range(2 * h + 1):
+                    level[there] = value[at]
+                    at += np.uint64(stride)
+                    there += np.uint64(BLOCK)
+            else:
+                for t in range(-h, h + 1):
+                    inside = 0 <= place + t <= last
+                    level[middle[b] + t * BLOCK + k] = value[np.uint64(pixel + t * stride)] if inside else _NONE
+        for j in range(begin, end):
+            bright += level[np.uint64(j)] >= top
+        if apart or subtracted or bright > 0:
             if not apart:
                 apart, ground = True, level.copy()
             ground[begin:end] = level[begin:end]

@@ -5,13 +5,33 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.chain_kernels import kth_smallest, median_of
 
 _GRAINY = 1.25
 _TRIM = 0.9
 _TRIMMED_TO_SIGMA = 1.267  # of a Gaussian cut at its 90 % quantile
 _LEAST_PAIRS, _LEAST_POINTS = 40, 40
+_HALVINGS = 20
 _REACH = 6  # points to the outermost of those that tell the scatter of one, at the shorter distance
+
+
+@compiled
+@no_type_check
+def _just_above(values: np.ndarray, n: int, k: int) -> float:
+    """Just above the ``k``-th smallest (from 0) of the first ``n`` values, by less than a thousandth of it; single precision, none negative.
+
+    Such numbers are in order as their bits are, which are halved until few are left; counting is done for many values at once.
+    """
+    bits = values.view(np.int32)
+    low, high = np.int32(0), np.int32(0x7F800000)
+    for _ in range(_HALVINGS):
+        middle, count = low + (high - low) // np.int32(2), np.int32(0)
+        for i in range(n):
+            count += np.int32(bits[i] < middle)
+        if count > k:
+            high = np.int32(middle)
+        else:
+            low = np.int32(middle)
+    return np.array([high]).view(np.float32)[0]
 
 
 @compiled
@@ -21,25 +41,28 @@ def _trimmed(values: np.ndarray) -> float:
     if len(values) == 0:
         return 0.0
     k = int(_TRIM * (len(values) - 1))
-    kth_smallest(values, len(values), k)
-    total = 0.0
-    for i in range(k + 1):
-        total += values[i] * values[i]
-    return _TRIMMED_TO_SIGMA * np.sqrt(total / (k + 1))
+    limit = _just_above(values, len(values), k)
+    total, count = 0.0, 0
+    for i in range(len(values)):
+        v = values[i] if values[i] < limit else 0.0
+        count += values[i] < limit
+        total += v * v
+    total += (k + 1 - count) * limit * limit
+    return _TRIMMED_TO_SIGMA * np.sqrt(max(total, 0.0) / (k + 1))
 
 
 @compiled
 @no_type_check
 def pixel_noise(differences: np.ndarray, ends: np.ndarray, starts: np.ndarray, floor: float) -> np.ndarray:
     """Standard deviation of a pixel beside each point's chain, from :func:`rotaline.vision.stripe.strip_kernels.side_differences`."""
-    noise = np.empty(starts[-1])
+    noise, single = np.empty(starts[-1]), differences.astype(np.float32)
     everywhere = -1.0
     for c in range(len(starts) - 1):
         if ends[c + 1] - ends[c] >= _LEAST_PAIRS:
-            own = _trimmed(differences[ends[c] : ends[c + 1]])
+            own = _trimmed(single[ends[c] : ends[c + 1]])
         else:
             if everywhere < 0.0:
-                everywhere = _trimmed(differences.copy())
+                everywhere = _trimmed(single)
             own = everywhere
         noise[starts[c] : starts[c + 1]] = max(own, floor)
     return noise
@@ -52,21 +75,23 @@ def scatter_and_floor(
 ) -> tuple:
     """As :func:`rotaline.vision.stripe.plain.uncertainty.scatter_and_floor`, of points moved by ``shift_px`` (NaN: not found)."""
     n = len(uv)
-    u, v, stated = np.empty(n), np.empty(n), np.empty(n)
+    u, v, stated = np.empty(n), np.empty(n), np.empty(n, np.float32)
     for i in range(n):
         found = not np.isnan(shift_px[i])
         s = shift_px[i] if found else 0.0
         u[i], v[i] = uv[i, 0] + s * normal[i, 0], uv[i, 1] + s * normal[i, 1]
         stated[i] = u_px[i] * noise[i] if found else 9.0
-    scratch, m = np.empty(n), 0
+    scratch, m = np.empty(n, np.float32), 0
     for c in range(len(starts) - 1):
         for i in range(starts[c] + _REACH, starts[c + 1] - _REACH):
             scratch[m] = stated[i]
             m += 1
     if m < _LEAST_POINTS:
         return 0.0, 0.0
-    middle = median_of(scratch, m)
-    expected = median_of(scratch, (m + 1) // 2)  # the lower half stands first now
+    middle, expected = (
+        _just_above(scratch, m, m // 2),
+        _just_above(scratch, m, m // 4),
+    )  # median of all, and of the clear half
     first = measured = limit = 0.0
     for lag in (3, 8):
         reach = 2 * lag
@@ -81,7 +106,7 @@ def scatter_and_floor(
         if m < _LEAST_POINTS:
             break
         limit = expected * (1.0 + 3.5 / np.sqrt(clear))
-        found_now = 1.4826 / np.sqrt(70.0) * median_of(scratch, clear)
+        found_now = 1.4826 / np.sqrt(70.0) * _just_above(scratch, clear, clear // 2)
         if lag == 3:
             first = measured = found_now
         elif found_now > _GRAINY * first:

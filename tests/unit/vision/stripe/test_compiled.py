@@ -12,6 +12,7 @@ from rotaline.vision.stripe.centre_kernels import subtract_sides, weighted_centr
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
+from rotaline.vision.stripe.gravity_kernels import line_normals
 from rotaline.vision.stripe.judge_kernels import sound_ends
 from rotaline.vision.stripe.measure_kernels import best_centres
 from rotaline.vision.stripe.model import StripePoints
@@ -25,8 +26,10 @@ from rotaline.vision.stripe.plain.extract import extract_stripe_plain
 from rotaline.vision.stripe.plain.strips import pixel_strips
 from rotaline.vision.stripe.plane import Plane
 from rotaline.vision.stripe.profiles import sample_profiles
+from rotaline.vision.stripe.row_kernels import whole_lines
 from rotaline.vision.stripe.strip_kernels import BLOCK
 from rotaline.vision.stripe.strips import strips_of
+from rotaline.vision.stripe.trace_kernels import normals
 from rotaline.vision.stripe.uncertainty_kernels import scatter_and_floor
 
 BASE = StripeScene(image_size=(160, 140), angle_deg=20.0)
@@ -102,6 +105,32 @@ def test_grey_gravity_reads_only_its_own_strips():
         again = extract_stripe(image, None, options)
         np.testing.assert_array_equal(again.uv, first.uv)
         np.testing.assert_array_equal(again.u_normal_px, first.u_normal_px)
+
+
+def test_rows_and_columns_are_chosen_by_lengths():
+    """Behind a corner the points of a chain found row by row are 2.2 px apart; the columns begin as soon as behind one found column by column."""
+    v = np.arange(100.0)
+    by_rows = np.column_stack([50.0 + 2.0 * np.maximum(v - 60.0, 0.0), v])
+    u = np.arange(50.0, 131.0)
+    by_columns = np.concatenate([by_rows[:60], np.column_stack([u, 60.0 + 0.5 * (u - 50.0)])])
+    begin = []
+    for chain in (by_rows, by_columns):
+        uv, starts, _, along = whole_lines(chain, np.zeros(len(chain), dtype=np.int64), 1.5)
+        np.testing.assert_array_equal(along[starts[:-1]], [[1.0, 0.0], [0.0, 1.0]])
+        begin.append(uv[starts[1], 0])
+    assert 50.0 < begin[0] == pytest.approx(begin[1], abs=2.0)
+    assert begin[0] < 60.0
+
+
+@pytest.mark.parametrize("steep", [False, True])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_normals_of_points_on_whole_lines(steep, sense):
+    t = np.arange(200.0)
+    place = 5.0 + 0.3 * np.abs(t - 90.0) + np.random.default_rng(1).normal(0.0, 0.08, 200) + 4.0 * (t > 150)
+    line, starts = 300.0 + sense * t, np.array([0, 60, 130, 135, 200])
+    uv = np.column_stack([place, line] if steep else [line, place])
+    along = np.tile([1.0, 0.0] if steep else [0.0, 1.0], (200, 1))
+    np.testing.assert_allclose(line_normals(uv, starts, along), normals(uv, starts, 0.05), atol=1e-9)
 
 
 @pytest.mark.parametrize("lanes", [1, 3])
