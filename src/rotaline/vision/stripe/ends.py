@@ -2,7 +2,6 @@
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import savgol_filter
 
 from rotaline.vision.stripe.curve import Chains
 
@@ -24,6 +23,8 @@ def average_along(
     uv : (n, 2)
     gain : (n,)   standard uncertainty after over before, for points of equal uncertainty
     """
+    from scipy.signal import savgol_filter  # takes long to load, and few want it
+
     uv, gain = chains.uv.copy(), np.ones(len(chains))
     size = 2 * half_window + 1
     t = np.arange(size) - half_window
