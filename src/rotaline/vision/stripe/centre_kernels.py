@@ -12,6 +12,7 @@ from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _F = np.float32
 _ZERO, _UNIT, _TWO, _FLAT, _PART = _F(0.0), _F(1.0), _F(2.0), _F(16.0), _F(1.0 / 16.0)
+_NEAR, _LEAST_RATE = _F(0.25), _F(0.5)
 _HUGE, _THIN, _NARROW, _NONE = _F(1e30), _F(1e-3), _F(0.1), _F(np.nan)
 _SIDE = 3.0  # the sides begin so many widths from the centre
 _LEAST_SIDE = 2  # pixels
@@ -22,6 +23,7 @@ _SHIFT, _BY_SHAPE, _BY_WINDOW = 0, BLOCK, 2 * BLOCK
 _G0, _G1, _G2, _P0, _P1, _P2 = 3 * BLOCK, 4 * BLOCK, 5 * BLOCK, 6 * BLOCK, 7 * BLOCK, 8 * BLOCK
 _K0, _K1, _K2, _W1, _W2 = 9 * BLOCK, 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK
 _STEP, _VARIANCE, _WINDOW, _MOST, _SLOPE_VARIANCE = 14 * BLOCK, 15 * BLOCK, 16 * BLOCK, 17 * BLOCK, 18 * BLOCK
+_PRODUCT = 19 * BLOCK
 # exp(-t), 0 <= t <= 1, to 1e-6
 _C0, _C1, _C2 = _F(0.9999995544211945), _F(-0.9999678512243936), _F(0.4996208737479462)
 _C3, _C4, _C5 = _F(-0.16501271678028187), _F(0.03833892232810025), _F(-0.0050997276264818465)
@@ -41,21 +43,12 @@ def _bell(t: float) -> float:
 
 @compiled
 @no_type_check
-def _add(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray, same: bool) -> None:
-    """One place of a block: what settles height and step of the centroid is added to the sums ``s``.
-
-    They are those of weight times bell, and of weight times light, times powers of x.
-    """
+def _add_light(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> None:
+    """One place of a block: weight times light times powers of x is added to the sums ``s``."""
     for k in range(BLOCK):
         x = d[k] - s[_SHIFT + k]
         square = x * x
-        g = _bell(square * s[_BY_SHAPE + k])
-        weight = w[k] * (g if same else _bell(square * s[_BY_WINDOW + k]))
-        wg = weight * g
-        wp = weight * p[k]
-        s[_G0 + k] += wg
-        s[_G1 + k] += wg * x
-        s[_G2 + k] += wg * square
+        wp = w[k] * _bell(square * s[_BY_WINDOW + k]) * p[k]
         s[_P0 + k] += wp
         s[_P1 + k] += wp * x
         s[_P2 + k] += wp * square
@@ -63,13 +56,39 @@ def _add(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray, same: bool)
 
 @compiled
 @no_type_check
-def _add_noise(s: np.ndarray, d: np.ndarray, w: np.ndarray) -> None:
-    """One place of a block: weight squared times powers of x, and weight times x and its square."""
+def _add_light_3(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> None:
+    """The same for three places at once."""
+    for k in range(BLOCK):
+        centre, by_window = s[_SHIFT + k], s[_BY_WINDOW + k]
+        x, y, z = d[k] - centre, d[k + BLOCK] - centre, d[k + 2 * BLOCK] - centre
+        xx, yy, zz = x * x, y * y, z * z
+        a = w[k] * _bell(xx * by_window) * p[k]
+        b = w[k + BLOCK] * _bell(yy * by_window) * p[k + BLOCK]
+        c = w[k + 2 * BLOCK] * _bell(zz * by_window) * p[k + 2 * BLOCK]
+        s[_P0 + k] += a + b + c
+        s[_P1 + k] += a * x + b * y + c * z
+        s[_P2 + k] += a * xx + b * yy + c * zz
+
+
+@compiled
+@no_type_check
+def _add(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> None:
+    """One place of a block: all that centre, width, height and uncertainty are made of is added to the sums ``s``.
+
+    They are those of weight times bell, of weight times light, and of weight squared, times powers of x.
+    """
     for k in range(BLOCK):
         x = d[k] - s[_SHIFT + k]
         square = x * x
         weight = w[k] * _bell(square * s[_BY_WINDOW + k])
-        wx = weight * x
+        wg = weight * _bell(square * s[_BY_SHAPE + k])
+        wp, wx = weight * p[k], weight * x
+        s[_G0 + k] += wg
+        s[_G1 + k] += wg * x
+        s[_G2 + k] += wg * square
+        s[_P0 + k] += wp
+        s[_P1 + k] += wp * x
+        s[_P2 + k] += wp * square
         s[_K0 + k] += weight * weight
         s[_K1 + k] += weight * wx
         s[_K2 + k] += wx * wx
@@ -79,12 +98,44 @@ def _add_noise(s: np.ndarray, d: np.ndarray, w: np.ndarray) -> None:
 
 @compiled
 @no_type_check
+def _add_3(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> None:
+    """The same for three places at once."""
+    for k in range(BLOCK):
+        centre, by_window, by_shape = s[_SHIFT + k], s[_BY_WINDOW + k], s[_BY_SHAPE + k]
+        x, y, z = d[k] - centre, d[k + BLOCK] - centre, d[k + 2 * BLOCK] - centre
+        xx, yy, zz = x * x, y * y, z * z
+        a = w[k] * _bell(xx * by_window)
+        b = w[k + BLOCK] * _bell(yy * by_window)
+        c = w[k + 2 * BLOCK] * _bell(zz * by_window)
+        ag, bg, cg = a * _bell(xx * by_shape), b * _bell(yy * by_shape), c * _bell(zz * by_shape)
+        ap, bp, cp = a * p[k], b * p[k + BLOCK], c * p[k + 2 * BLOCK]
+        ax, by, cz = a * x, b * y, c * z
+        s[_G0 + k] += ag + bg + cg
+        s[_G1 + k] += ag * x + bg * y + cg * z
+        s[_G2 + k] += ag * xx + bg * yy + cg * zz
+        s[_P0 + k] += ap + bp + cp
+        s[_P1 + k] += ap * x + bp * y + cp * z
+        s[_P2 + k] += ap * xx + bp * yy + cp * zz
+        s[_K0 + k] += a * a + b * b + c * c
+        s[_K1 + k] += a * ax + b * by + c * cz
+        s[_K2 + k] += ax * ax + by * by + cz * cz
+        s[_W1 + k] += ax + by + cz
+        s[_W2 + k] += a * xx + b * yy + c * zz
+
+
+@compiled
+@no_type_check
 def _step(s: np.ndarray, short: float) -> int:
-    """The next step of each point of a block; how many are longer than ``short``."""
+    """The next step of each point of a block, by Newton's method; how many are longer than ``short``.
+
+    The centre of what is under a window that is a bell moves with the window, by the part that the variance of what is under it is of the bell's.
+    """
     far = 0
     for k in range(BLOCK):
-        g0, g1, p0, p1 = s[_G0 + k], s[_G1 + k], s[_P0 + k], s[_P1 + k]
-        step = s[_VARIANCE + k] * (g0 * p1 - g1 * p0) / (s[_G2 + k] * p0 - g1 * p1)
+        g0, p0 = s[_G0 + k], s[_P0 + k]
+        own, off = s[_G1 + k] / g0, s[_P1 + k] / p0
+        rate = (s[_G2 + k] / g0 - own * own) / s[_PRODUCT + k] - (s[_P2 + k] / p0 - off * off) / s[_WINDOW + k]
+        step = (off - own) / min(max(rate, _LEAST_RATE), _UNIT)
         step = min(max(step, -s[_MOST + k]), s[_MOST + k]) if abs(step) < _HUGE else _ZERO
         s[_STEP + k] = step
         far += abs(step) > short
@@ -93,7 +144,7 @@ def _step(s: np.ndarray, short: float) -> int:
 
 @compiled
 @no_type_check
-def _finish(s: np.ndarray, noise: bool) -> None:
+def _finish(s: np.ndarray) -> None:
     """Centres, uncertainties, widths and heights of a block from its sums; they take the place of the first of these."""
     for k in range(BLOCK):
         g0, g1, g2 = s[_G0 + k], s[_G1 + k], s[_G2 + k]
@@ -101,12 +152,10 @@ def _finish(s: np.ndarray, noise: bool) -> None:
         variance, window_variance = s[_VARIANCE + k], s[_WINDOW + k]
         peak = g2 * p0 - g1 * p1
         high = peak / (g0 * g2 - g1 * g1)
-        u = _UNIT
-        if noise:
-            from_slope = g0 * s[_W2 + k] - g1 * s[_W1 + k]
-            total = g0 * g0 * s[_K2 + k] - _TWO * g0 * g1 * s[_K1 + k] + g1 * g1 * s[_K0 + k]
-            u = variance / peak * np.sqrt(total + s[_SLOPE_VARIANCE + k] * from_slope * from_slope)
-        product = variance * window_variance / (variance + window_variance)
+        from_slope = g0 * s[_W2 + k] - g1 * s[_W1 + k]
+        total = g0 * g0 * s[_K2 + k] - _TWO * g0 * g1 * s[_K1 + k] + g1 * g1 * s[_K0 + k]
+        u = variance / peak * np.sqrt(total + s[_SLOPE_VARIANCE + k] * from_slope * from_slope)
+        product = s[_PRODUCT + k]
         off, own = p1 / p0, g1 / g0  # the same but for the last step
         moment = p2 / p0 - off * off - g2 / g0 + own * own + product
         wide = moment * window_variance / max(window_variance - moment, _THIN * window_variance)
@@ -138,50 +187,88 @@ def weighted_centroids(
 ) -> None:
     """As :func:`rotaline.vision.stripe.plain.centres.weighted_centroid`, until no step in a block is longer than ``short_px``.
 
-    Results stand in the last four arrays. The uncertainties are left out where ``u_px`` is empty.
+    All but the last steps are made towards the centre of the light alone. Results stand in the last four arrays. The uncertainties are
+    left out where ``u_px`` is empty.
     """
     n = len(start_px)
-    s = np.zeros(19 * BLOCK, _F)
+    s = np.zeros(20 * BLOCK, _F)
     s[_BY_SHAPE:_G0], s[_VARIANCE:] = _UNIT, _UNIT
-    short, noise = _F(short_px), len(u_px) > 0
+    limit = np.zeros(BLOCK, _F)
+    short = _F(short_px)
     for begin in range(0, n, BLOCK):
-        m = min(BLOCK, n - begin)
-        same, reach = True, 0.0
-        for k in range(m):
-            width = width_px[begin + k]
-            window_px = max(window * width, _LEAST_WINDOW_PX)
-            same &= window_px == width
-            reach = max(reach, _REACH * window_px + abs(start_px[begin + k]))
-            variance, window_variance = width * width, window_px * window_px
-            s[_SHIFT + k], s[_BY_SHAPE + k], s[_BY_WINDOW + k] = (
-                start_px[begin + k],
-                0.5 / variance,
-                0.5 / window_variance,
-            )
-            s[_VARIANCE + k], s[_WINDOW + k], s[_MOST + k] = variance, window_variance, 1.5 * width
-            s[_SLOPE_VARIANCE + k] = slope_variance[begin + k]
-        lines = count[begin] // lanes
-        inner = min(int(reach + 1.0), lines // 2)
-        low = first[begin] + BLOCK * lanes * (lines // 2 - inner)
-        high = first[begin] + BLOCK * lanes * (lines // 2 + inner + 1)
+        end = min(begin + BLOCK, n)
+        _prepare(s, limit, start_px[begin:end], width_px[begin:end], slope_variance[begin:end], window)
+        low, high = first[begin], first[begin] + BLOCK * count[begin]
+        while low < high and _beyond(s, limit, distance[low : low + BLOCK]):
+            low += BLOCK
+        while low < high and _beyond(s, limit, distance[high - BLOCK : high]):
+            high -= BLOCK
+        rest = low + (high - low) // (3 * BLOCK) * 3 * BLOCK
+        s[_G0:_G1], s[_G1:_G2] = _UNIT, _ZERO
+        for _ in range(_MOST_STEPS):
+            s[_P0:_K0] = _ZERO
+            for a in range(low, rest, 3 * BLOCK):
+                b = a + 3 * BLOCK
+                _add_light_3(s, distance[a:b], above[a:b], share[a:b])
+            for a in range(rest, high, BLOCK):
+                b = a + BLOCK
+                _add_light(s, distance[a:b], above[a:b], share[a:b])
+            far = _step(s, _NEAR)
+            for k in range(BLOCK):
+                s[_SHIFT + k] += s[_STEP + k]
+            if far == 0:
+                break
         for turn in range(_MOST_STEPS):
-            s[_G0:_K0] = _ZERO
-            for a in range(low, high, BLOCK):
-                _add(s, distance[a : a + BLOCK], above[a : a + BLOCK], share[a : a + BLOCK], same)
+            s[_G0:_STEP] = _ZERO
+            for a in range(low, rest, 3 * BLOCK):
+                b = a + 3 * BLOCK
+                _add_3(s, distance[a:b], above[a:b], share[a:b])
+            for a in range(rest, high, BLOCK):
+                b = a + BLOCK
+                _add(s, distance[a:b], above[a:b], share[a:b])
             if _step(s, short) == 0 or turn == _MOST_STEPS - 1:
                 break
             for k in range(BLOCK):
                 s[_SHIFT + k] += s[_STEP + k]
-        if noise:
-            s[_K0:_STEP] = _ZERO
-            for a in range(low, high, BLOCK):
-                _add_noise(s, distance[a : a + BLOCK], share[a : a + BLOCK])
-        _finish(s, noise)
-        for k in range(m):
-            i = begin + k
-            shift_px[i], measured_px[i], height[i] = s[_G0 + k], s[_G2 + k], s[_P0 + k]
-            if noise:
-                u_px[i] = s[_G1 + k]
+        _finish(s)
+        for k in range(end - begin):
+            shift_px[begin + k], measured_px[begin + k], height[begin + k] = s[_G0 + k], s[_G2 + k], s[_P0 + k]
+        for k in range(end - begin if len(u_px) else 0):
+            u_px[begin + k] = s[_G1 + k]
+
+
+@compiled
+@no_type_check
+def _prepare(
+    s: np.ndarray,
+    limit: np.ndarray,
+    start_px: np.ndarray,
+    width_px: np.ndarray,
+    slope_variance: np.ndarray,
+    window: float,
+) -> None:
+    """What the steps of a block begin with, and how far from the points' places the window ends."""
+    for k in range(len(start_px)):
+        width = width_px[k]
+        window_px = max(window * width, _LEAST_WINDOW_PX)
+        variance, window_variance = width * width, window_px * window_px
+        s[_SHIFT + k] = start_px[k]
+        s[_BY_SHAPE + k], s[_BY_WINDOW + k] = 0.5 / variance, 0.5 / window_variance
+        s[_VARIANCE + k], s[_WINDOW + k], s[_MOST + k] = variance, window_variance, 1.5 * width
+        s[_SLOPE_VARIANCE + k] = slope_variance[k]
+        product = variance * window_variance / (variance + window_variance)
+        s[_PRODUCT + k], s[_G2 + k] = product, product
+        limit[k] = _REACH * window_px
+
+
+@compiled
+@no_type_check
+def _beyond(s: np.ndarray, limit: np.ndarray, d: np.ndarray) -> bool:
+    """Whether one place of a block is outside of all windows."""
+    inside = 0
+    for k in range(BLOCK):
+        inside += abs(d[k] - s[_SHIFT + k]) <= limit[k]
+    return inside == 0
 
 
 @compiled

@@ -77,6 +77,39 @@ def starts_of(chain: np.ndarray) -> np.ndarray:
 
 @compiled
 @no_type_check
+def _centred_lines(
+    total: np.ndarray,
+    half_window: int,
+    u0: float,
+    v0: float,
+    smooth: np.ndarray,
+    tangent: np.ndarray,
+    misfit: np.ndarray,
+) -> None:
+    """Lines through whole windows, from the sums ``total`` (5, n + 1) along a chain: the points whose window does not leave it."""
+    size = 2 * half_window + 1
+    m = len(misfit)
+    count, var_t = float(size), size * (size * size - 1.0) / 12.0
+    per_count, per_var, per_rest = 1.0 / count, 1.0 / var_t, 1.0 / max(count - 2.0, 1.0)
+    low_x, low_y, low_tx, low_ty, low_xx = total[0, :m], total[1, :m], total[2, :m], total[3, :m], total[4, :m]
+    x, y = total[0, size : size + m], total[1, size : size + m]
+    tx, ty, xx = total[2, size : size + m], total[3, size : size + m], total[4, size : size + m]
+    for i in range(m):
+        sum_x, sum_y, mean_t = x[i] - low_x[i], y[i] - low_y[i], float(i + half_window)
+        mean_x, mean_y = sum_x * per_count, sum_y * per_count
+        slope_x = (tx[i] - low_tx[i] - mean_t * sum_x) * per_var
+        slope_y = (ty[i] - low_ty[i] - mean_t * sum_y) * per_var
+        square = slope_x * slope_x + slope_y * slope_y
+        rest = xx[i] - low_xx[i] - count * (mean_x * mean_x + mean_y * mean_y) - var_t * square
+        misfit[i] = max(rest, 0.0) * per_rest
+        some = square > 1e-18
+        per_norm = 1.0 / np.sqrt(square if some else 1.0)
+        smooth[i, 0], smooth[i, 1] = u0 + mean_x, v0 + mean_y
+        tangent[i, 0], tangent[i, 1] = slope_x * per_norm if some else 1.0, slope_y * per_norm if some else 0.0
+
+
+@compiled
+@no_type_check
 def local_lines(
     uv: np.ndarray, starts: np.ndarray, half_window: int, noise_px: float, smooth: np.ndarray, tangent: np.ndarray
 ) -> None:
@@ -84,7 +117,7 @@ def local_lines(
     longest = 0
     for k in range(len(starts) - 1):
         longest = max(longest, starts[k + 1] - starts[k])
-    total = np.zeros((longest + 1, 5))
+    total, centred = np.zeros((5, longest + 1)), np.empty(longest)
     floor = noise_px * noise_px
     for k in range(len(starts) - 1):
         start, stop = starts[k], starts[k + 1]
@@ -100,10 +133,17 @@ def local_lines(
             s2 += x * i
             s3 += y * i
             s4 += x * x + y * y
-            total[i + 1, 0], total[i + 1, 1], total[i + 1, 2], total[i + 1, 3], total[i + 1, 4] = s0, s1, s2, s3, s4
+            total[0, i + 1], total[1, i + 1], total[2, i + 1], total[3, i + 1], total[4, i + 1] = s0, s1, s2, s3, s4
+        whole = max(n - 2 * half_window, 0)
+        inner = start + half_window
+        _centred_lines(
+            total, half_window, u0, v0, smooth[inner : inner + whole], tangent[inner : inner + whole], centred[:whole]
+        )
         end = n - 1
         first, last = max(end - half_window, 0), min(half_window, end)
         for i in range(n):
+            if 0 <= i - half_window < whole and centred[i - half_window] <= 3.0 * floor:
+                continue
             before, after = max(i - half_window, 0), min(i + half_window, end)
             best = np.inf
             su, sv, tu, tv = uv[start + i, 0], uv[start + i, 1], 0.0, 0.0
@@ -119,11 +159,11 @@ def local_lines(
                 count = high + 1.0 - low
                 mean_t = 0.5 * (low + high)
                 var_t = max(count * (count * count - 1.0) / 12.0, 1e-9)
-                mean_x = (total[high + 1, 0] - total[low, 0]) / count
-                mean_y = (total[high + 1, 1] - total[low, 1]) / count
-                slope_x = (total[high + 1, 2] - total[low, 2] - mean_t * mean_x * count) / var_t
-                slope_y = (total[high + 1, 3] - total[low, 3] - mean_t * mean_y * count) / var_t
-                rest = total[high + 1, 4] - total[low, 4] - count * (mean_x * mean_x + mean_y * mean_y)
+                mean_x = (total[0, high + 1] - total[0, low]) / count
+                mean_y = (total[1, high + 1] - total[1, low]) / count
+                slope_x = (total[2, high + 1] - total[2, low] - mean_t * mean_x * count) / var_t
+                slope_y = (total[3, high + 1] - total[3, low] - mean_t * mean_y * count) / var_t
+                rest = total[4, high + 1] - total[4, low] - count * (mean_x * mean_x + mean_y * mean_y)
                 rest -= var_t * (slope_x * slope_x + slope_y * slope_y)
                 misfit = max(rest, 0.0) / max(count - 2.0, 1.0) + floor
                 if rank:
@@ -149,7 +189,8 @@ def resample(uv: np.ndarray, starts: np.ndarray, values: np.ndarray) -> tuple:
     for k in range(n_chains):
         length = 0.0
         for i in range(starts[k] + 1, starts[k + 1]):
-            length += np.hypot(uv[i, 0] - uv[i - 1, 0], uv[i, 1] - uv[i - 1, 1])
+            du, dv = uv[i, 0] - uv[i - 1, 0], uv[i, 1] - uv[i - 1, 1]
+            length += np.sqrt(du * du + dv * dv)
         size += int(length) + 2
     out, carried = np.empty((size, 2)), np.empty(size)
     edges = np.empty(n_chains + 1, np.int64)

@@ -15,8 +15,7 @@ _AROUND = 8  # points on both sides that tell of an edge
 _LEAST_STEPPED = 5  # so few are at a corner, where the side of a point sees what the stripe turns to
 _WIDTH_TOLERANCE = 0.08  # a window may be off by this part
 _WIDER = 1.05  # a wider window, which minds the shape of the profile less, may cost so much scatter
-_ROUGH_PX = 0.3  # to know the width, a step that is shorter is good enough
-_SHORT_PX = 0.02  # a step is the last when it is shorter: what the next would be is a tenth of it
+_SHORT_PX = 0.1  # a step is the last when it is shorter: what the next would be is a hundredth of it
 
 
 @compiled
@@ -111,18 +110,17 @@ def best_centres(
     other_shift, other_u, other_measured, other_height = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     start, width = start_px.copy(), width_px.copy()
     scatter, floor, better, wider = best_scatter, 0.0, False, False
-    turn = 0 if adapt else 1
     while True:
         weighted_centroids(
-            first, count, lanes, distance, level, share, slope_variance, start, width, window,
-            _SHORT_PX if turn else _ROUGH_PX, other_shift, other_u if turn else np.empty(0), other_measured, other_height,
+            first, count, lanes, distance, level, share, slope_variance, start, width, window, _SHORT_PX, other_shift,
+            other_u, other_measured, other_height,
         )  # fmt: skip
         for i in range(n):
             start[i] = start[i] if np.isnan(other_shift[i]) else other_shift[i]
-        if turn == 0:
-            _adapt(other_measured, starts, width_px, width)
-            turn = 1
-            continue
+        if adapt:
+            adapt = False
+            if _adapt(other_measured, starts, width_px, width):
+                continue
         scatter_now, floor_now = scatter_and_floor(uv, starts, normal, other_shift, other_u, noise)
         if not better or scatter_now < _WIDER * scatter:
             better = scatter_now < _WIDER * scatter
@@ -145,14 +143,15 @@ def best_centres(
 
 @compiled
 @no_type_check
-def _adapt(measured: np.ndarray, starts: np.ndarray, width_px: np.ndarray, width: np.ndarray) -> None:
-    """Put measured widths, averaged along the stripe, in the place of ``width`` where that matters."""
+def _adapt(measured: np.ndarray, starts: np.ndarray, width_px: np.ndarray, width: np.ndarray) -> bool:
+    """Put measured widths, averaged along the stripe, in the place of ``width`` where that matters; whether it does anywhere."""
     n = len(width)
     bounded, better = np.empty(n), np.empty(n)
     for i in range(n):
         w = measured[i] if measured[i] > 0.0 else 1.0  # NaN where nothing was seen
         bounded[i] = min(max(w, 0.6 * width_px[i]), 1.5 * width_px[i])
     window_mean(bounded, starts, 10, better)
+    changed = False
     for a in range(0, n, BLOCK):
         b = min(a + BLOCK, n)
         same = True
@@ -160,6 +159,8 @@ def _adapt(measured: np.ndarray, starts: np.ndarray, width_px: np.ndarray, width
             same &= abs(better[i] - width[i]) <= _WIDTH_TOLERANCE * width[i]
         if not same:
             width[a:b] = better[a:b]
+            changed = True
+    return changed
 
 
 @compiled

@@ -18,6 +18,9 @@ _F = np.float32
 _ZERO, _ONE, _LEAST = _F(0.0), _F(1.0), _F(1e-5)
 _ROUND, _OFFSET = _F(1024.5), np.int32(1024)  # rounding by cutting off works for positive numbers
 _X, _FRACTION, _SLOPE, _COSINE, _SINE, _REACH = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK
+_U, _V, _NU, _NV, _HALF = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK
+_ORIGIN, _PIXEL, _LINE_STRIDE, _PLACE_STRIDE = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
+_LOW, _HIGH, _BASE, _LAST = 4 * BLOCK, 5 * BLOCK, 6 * BLOCK, 7 * BLOCK
 
 
 @compiled
@@ -29,10 +32,10 @@ def _strip_places(normal: np.ndarray, half_length_px: np.ndarray, lanes: int) ->
     total = 0
     for begin in range(0, n, BLOCK):
         end = min(begin + BLOCK, n)
-        steps = 0
+        far = 0.0
         for i in range(begin, end):
-            steep = max(abs(normal[i, 0]), abs(normal[i, 1]))
-            steps = max(steps, int((half_length_px[i] + _TIE) * steep + 1.0))
+            far = max(far, (half_length_px[i] + _TIE) * max(abs(normal[i, 0]), abs(normal[i, 1])))
+        steps = int(far + 1.0)
         for i in range(begin, end):
             first[i], count[i] = total + i - begin, lanes * (2 * steps + 1)
         total += BLOCK * lanes * (2 * steps + 1)
@@ -59,6 +62,89 @@ def _shares(form: np.ndarray, line: float, lanes: int, nearest: np.ndarray, d: n
             w[k] = p if (p > _LEAST) & (abs(below) <= reach) else _ZERO
             w[k + BLOCK] = q if (q > _LEAST) & (abs(along) <= reach) else _ZERO
             w[k + 2 * BLOCK] = r if (r > _LEAST) & (abs(above) <= reach) else _ZERO
+
+
+@compiled
+@no_type_check
+def _frames(at: np.ndarray, lines: int, size: tuple, form: np.ndarray, whole: np.ndarray) -> bool:
+    """How the strips of a block lie in the image: fractions and slopes, whole numbers. Whether all of them are inside of it.
+
+    The whole numbers are pixel numbers (of the first line at the point's place, of the present line), strides from line to line and from place to
+    place, the first and the last line inside the image, and the point's place and the last one.
+    """
+    steps = lines // 2
+    inside = 0
+    for k in range(BLOCK):
+        rows = abs(at[_NU + k]) >= abs(at[_NV + k])
+        on, along = at[_U + k] if rows else at[_V + k], at[_V + k] if rows else at[_U + k]
+        n_on, n_along = at[_NU + k] if rows else at[_NV + k], at[_NV + k] if rows else at[_NU + k]
+        last_line, last_place = size[0] - 1 if rows else size[1] - 1, size[1] - 1 if rows else size[0] - 1
+        line_stride, place_stride = 1 if rows else size[0], size[0] if rows else 1
+        first, base = np.floor(on + (0.5 - _TIE)) - steps, np.floor(along)
+        slope = n_along / n_on
+        one = along + (first - on) * slope
+        other = one + 2 * steps * slope
+        high = last_line - first
+        inside += (first >= 0.0) & (high >= lines - 1) & (min(one, other) >= 2.0) & (max(one, other) < last_place - 2.0)
+        form[_X + k], form[_FRACTION + k], form[_SLOPE + k] = first - on, along - base, slope
+        form[_COSINE + k], form[_SINE + k], form[_REACH + k] = n_on, n_along, at[_HALF + k]
+        whole[_ORIGIN + k] = np.int64(first) * line_stride + np.int64(base) * place_stride
+        whole[_LINE_STRIDE + k], whole[_PLACE_STRIDE + k] = line_stride, place_stride
+        whole[_LOW + k], whole[_HIGH + k] = -np.int64(first), np.int64(high)
+        whole[_BASE + k], whole[_LAST + k] = np.int64(base), last_place
+    return inside == BLOCK
+
+
+@compiled
+@no_type_check
+def _pixels(whole: np.ndarray, nearest: np.ndarray, line: int) -> None:
+    """Numbers of the nearest pixels on one line of a block."""
+    for k in range(BLOCK):
+        across = np.int64(nearest[k]) * whole[_PLACE_STRIDE + k]
+        whole[_PIXEL + k] = whole[_ORIGIN + k] + line * whole[_LINE_STRIDE + k] + across
+
+
+@compiled
+@no_type_check
+def _read_inside(value: np.ndarray, whole: np.ndarray, lanes: int, read: np.ndarray) -> None:
+    """One line of a block that is inside the image."""
+    if lanes == 1:
+        for k in range(BLOCK):
+            read[k] = value[np.uint64(whole[_PIXEL + k])]
+    else:
+        for k in range(BLOCK):
+            pixel, stride = whole[_PIXEL + k], whole[_PLACE_STRIDE + k]
+            read[k] = value[np.uint64(pixel - stride)]
+            read[k + BLOCK] = value[np.uint64(pixel)]
+            read[k + 2 * BLOCK] = value[np.uint64(pixel + stride)]
+
+
+@compiled
+@no_type_check
+def _read_where_inside(
+    value: np.ndarray, whole: np.ndarray, nearest: np.ndarray, line: int, lanes: int, read: np.ndarray, w: np.ndarray
+) -> None:
+    """One line of a block; what is outside the image has no weight."""
+    for k in range(BLOCK):
+        for lane in range(lanes):
+            beside, there = lane - lanes // 2, k + lane * BLOCK
+            place = whole[_BASE + k] + nearest[k] + beside
+            if whole[_LOW + k] <= line <= whole[_HIGH + k] and 0 <= place <= whole[_LAST + k]:
+                read[there] = value[np.uint64(whole[_PIXEL + k] + beside * whole[_PLACE_STRIDE + k])]
+            else:
+                read[there], w[there] = 0, _ZERO
+
+
+@compiled
+@no_type_check
+def _bright(read: np.ndarray, top: float, p: np.ndarray) -> int:
+    """What was read, as ``p``; how many are ``top`` or more."""
+    bright = 0
+    for k in range(len(p)):
+        q = _F(read[k])
+        p[k] = q
+        bright += q >= top
+    return bright
 
 
 @compiled
@@ -94,98 +180,42 @@ def read_strips(
     first, count, total = _strip_places(normal, half_length_px, lanes)
     distance, level, share = np.empty(total, _F), np.empty(total, _F), np.empty(total, _F)
     clipped, hits = np.empty(total, np.bool_), np.empty(len(uv), np.int64)
-    form, nearest = np.zeros(6 * BLOCK, _F), np.zeros(BLOCK, np.int32)
-    origin, line_stride, place_stride = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
-    low, high, last_place = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
-    bases, inside = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.bool_)
+    form, nearest, read = np.zeros(6 * BLOCK, _F), np.zeros(BLOCK, np.int32), np.empty(3 * BLOCK, value.dtype)
+    at, whole = np.empty(5 * BLOCK), np.empty(8 * BLOCK, np.int64)
     for begin in range(0, len(uv), BLOCK):
         m, lines = min(BLOCK, len(uv) - begin), count[begin] // lanes
-        steps = lines // 2
         for k in range(BLOCK):
             i = min(begin + k, len(uv) - 1)
-            if abs(normal[i, 0]) >= abs(normal[i, 1]):
-                at, along, n_at, n_along = uv[i, 0], uv[i, 1], normal[i, 0], normal[i, 1]
-                last_line, last_place[k], line_stride[k], place_stride[k] = size[0] - 1, size[1] - 1, 1, size[0]
-            else:
-                at, along, n_at, n_along = uv[i, 1], uv[i, 0], normal[i, 1], normal[i, 0]
-                last_line, last_place[k], line_stride[k], place_stride[k] = size[1] - 1, size[0] - 1, size[0], 1
-            middle, base = int(np.floor(at + 0.5 - _TIE)), int(np.floor(along))
-            slope = n_along / n_at
-            one = along + (middle - steps - at) * slope
-            other = along + (middle + steps - at) * slope
-            low[k], high[k], bases[k] = steps - middle, steps - middle + last_line, base
-            inside[k] = (
-                low[k] <= 0
-                and high[k] >= lines - 1
-                and min(one, other) >= 2.0
-                and max(one, other) < last_place[k] - 2.0
-            )
-            origin[k] = (middle - steps) * line_stride[k] + base * place_stride[k]
-            form[_X + k], form[_FRACTION + k], form[_SLOPE + k] = middle - steps - at, along - base, slope
-            form[_COSINE + k], form[_SINE + k] = n_at, n_along
-            form[_REACH + k] = half_length_px[i] + _TIE if k < m else -1.0
-        straight = lanes == 1
-        for k in range(BLOCK):
-            straight &= inside[k] and form[_SLOPE + k] == _ZERO
-            nearest[k] = np.int32(form[_FRACTION + k] + _ROUND) - _OFFSET
-        most = _ZERO
-        if straight:  # along rows or columns
-            for k in range(BLOCK):
-                origin[k] += nearest[k] * place_stride[k]
-            for line in range(lines):
-                row = first[begin] + line * BLOCK
-                d, p, w = distance[row : row + BLOCK], level[row : row + BLOCK], share[row : row + BLOCK]
-                for k in range(BLOCK):
-                    d[k] = (form[_X + k] + _F(line)) * form[_COSINE + k]
-                    w[k] = _ONE if abs(d[k]) <= form[_REACH + k] else _ZERO
-                for k in range(BLOCK):
-                    q = _F(value[np.uint64(origin[k] + line * line_stride[k])])
-                    p[k] = q
-                    most = max(most, q)
-            for k in range(BLOCK):
-                origin[k] -= nearest[k] * place_stride[k]
-        for line in range(0 if straight else lines):
+            at[_U + k], at[_V + k], at[_NU + k], at[_NV + k] = uv[i, 0], uv[i, 1], normal[i, 0], normal[i, 1]
+            at[_HALF + k] = half_length_px[i] + _TIE if k < m else -1.0
+        inside = _frames(at, lines, size, form, whole)
+        bright = 0
+        for line in range(lines):
             row = first[begin] + line * lanes * BLOCK
-            d, p, w = (
-                distance[row : row + lanes * BLOCK],
-                level[row : row + lanes * BLOCK],
-                share[row : row + lanes * BLOCK],
-            )
-            _shares(form, _F(line), lanes, nearest, d, w)
-            for k in range(BLOCK):
-                pixel = origin[k] + line * line_stride[k] + nearest[k] * place_stride[k]
-                if not inside[k]:
-                    for lane in range(lanes):
-                        place = bases[k] + nearest[k] + lane - lanes // 2
-                        there = k + lane * BLOCK
-                        p[there] = _ZERO
-                        if low[k] <= line <= high[k] and 0 <= place <= last_place[k]:
-                            p[there] = value[np.uint64(pixel + (lane - lanes // 2) * place_stride[k])]
-                            most = max(most, p[there])
-                        else:
-                            w[there] = _ZERO
-                elif lanes == 1:
-                    q = _F(value[np.uint64(pixel)])
-                    p[k] = q
-                    most = max(most, q)
-                else:
-                    a = _F(value[np.uint64(pixel - place_stride[k])])
-                    b = _F(value[np.uint64(pixel)])
-                    c = _F(value[np.uint64(pixel + place_stride[k])])
-                    p[k], p[k + BLOCK], p[k + 2 * BLOCK] = a, b, c
-                    most = max(most, max(a, max(b, c)))
+            end = row + lanes * BLOCK
+            w = share[row:end]
+            _shares(form, _F(line), lanes, nearest, distance[row:end], w)
+            _pixels(whole, nearest, line)
+            if inside:
+                _read_inside(value, whole, lanes, read)
+            else:
+                _read_where_inside(value, whole, nearest, line, lanes, read, w)
+            bright += _bright(read, top, level[row:end])
         hits[begin : begin + m] = 0
-        if subtracted or most >= top:
+        if subtracted or bright:
             for line in range(lines):
                 row = first[begin] + line * lanes * BLOCK
                 for k in range(m):
                     x = form[_X + k] + _F(line)
-                    place = np.int32(form[_FRACTION + k] + x * form[_SLOPE + k] + _ROUND) - _OFFSET - lanes // 2
+                    place = np.int32(form[_FRACTION + k] + x * form[_SLOPE + k] + _ROUND) - _OFFSET
+                    nearest[k] = place
+                _pixels(whole, nearest, line)
+                for k in range(m):
                     for lane in range(lanes):
                         there = row + lane * BLOCK + k
                         hit = False
                         if share[there] > _ZERO:
-                            pixel = origin[k] + line * line_stride[k] + (place + lane) * place_stride[k]
+                            pixel = whole[_PIXEL + k] + (lane - lanes // 2) * whole[_PLACE_STRIDE + k]
                             hit = source[np.uint64(pixel)] >= limit
                         clipped[there] = hit
                         hits[begin + k] += hit

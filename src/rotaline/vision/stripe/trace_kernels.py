@@ -21,7 +21,7 @@ from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _WINDOW = 6  # points on either side that settle the direction
 _ROUGH_PX, _FINE_PX = 0.3, 0.05  # misfit of a line that is not worth a one-sided window
-_SHORT_PX = 0.05  # a step is the last when it is shorter
+_SHORT_PX = 0.02  # a step is the last when it is shorter
 _JOIN_PX = 9.0
 _BOTH_SIDES = 0.2  # least fall to the higher side, part of the fall to the lower side
 _STRAIGHT = 4  # points whose mean tells where an end goes on, and as many before them whereto
@@ -287,6 +287,11 @@ def follow(
 @no_type_check
 def long_chains(uv: np.ndarray, starts: np.ndarray, width_px: np.ndarray, normal: np.ndarray, least: int) -> tuple:
     """The chains of ``least`` points or more."""
+    shortest = least
+    for c in range(len(starts) - 1):
+        shortest = min(shortest, starts[c + 1] - starts[c])
+    if shortest == least:
+        return uv, starts, width_px, normal
     keep = np.zeros(len(uv), np.bool_)
     edges = np.empty_like(starts)
     m, kept = 0, 0
