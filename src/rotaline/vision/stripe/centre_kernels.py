@@ -291,6 +291,28 @@ def _add_sides(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> No
 
 @compiled
 @no_type_check
+def _add_sides_3(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> None:
+    """The same for three places at once."""
+    for k in range(BLOCK):
+        zero, limit = s[k], s[BLOCK + k]
+        x, y, z = d[k], d[k + BLOCK], d[k + 2 * BLOCK]
+        a = _UNIT if (abs(x) > limit) & (w[k] > _ZERO) else _ZERO
+        b = _UNIT if (abs(y) > limit) & (w[k + BLOCK] > _ZERO) else _ZERO
+        c = _UNIT if (abs(z) > limit) & (w[k + 2 * BLOCK] > _ZERO) else _ZERO
+        e, f, g = a if x < _ZERO else _ZERO, b if y < _ZERO else _ZERO, c if z < _ZERO else _ZERO
+        q, r, t = p[k] - zero, p[k + BLOCK] - zero, p[k + 2 * BLOCK] - zero
+        ax, by, cz = a * x, b * y, c * z
+        s[2 * BLOCK + k] += a + b + c
+        s[3 * BLOCK + k] += e + f + g
+        s[4 * BLOCK + k] += e * q + f * r + g * t
+        s[5 * BLOCK + k] += ax + by + cz
+        s[6 * BLOCK + k] += a * q + b * r + c * t
+        s[7 * BLOCK + k] += ax * x + by * y + cz * z
+        s[8 * BLOCK + k] += ax * q + by * r + cz * t
+
+
+@compiled
+@no_type_check
 def _take_line(s: np.ndarray, d: np.ndarray, p: np.ndarray) -> None:
     """Subtract lines (level, slope) from one place of a block."""
     for k in range(BLOCK):
@@ -333,8 +355,13 @@ def subtract_sides(
                         share[a] = -share[a]
             s[k] = above[low + k + BLOCK * (count[i] // 2)]  # sums of small numbers are more exact
             s[BLOCK + k] = _SIDE * width_px[i]
-        for a in range(low, high, BLOCK):
-            _add_sides(s, distance[a : a + BLOCK], above[a : a + BLOCK], share[a : a + BLOCK])
+        rest = low + count[begin] // 3 * 3 * BLOCK
+        for a in range(low, rest, 3 * BLOCK):
+            b = a + 3 * BLOCK
+            _add_sides_3(s, distance[a:b], above[a:b], share[a:b])
+        for a in range(rest, high, BLOCK):
+            b = a + BLOCK
+            _add_sides(s, distance[a:b], above[a:b], share[a:b])
         for k in range(m):
             i = begin + k
             if hits[i]:
