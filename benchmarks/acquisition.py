@@ -200,7 +200,7 @@ def measure(setting: Setting) -> list[Measurement]:
         f"the writer alone, {SIZE[0]} x {SIZE[1]} with noise: {rate:.1f} frames/s, {rate * image.nbytes / 1e6:.0f} MB/s of pixels"
     )
     found.append(Measurement("acquisition", "the writer alone: rate", "frames/s", (rate,)))
-    stepped = step_and_shoot(setting.folder / "stepped", world, image, 30 if setting.quick else 120)
+    stepped = step_and_shoot(setting.folder / "stepped", world, image, 30 if setting.quick else 360)
     print(
         f"step and shoot, {stepped.n_frames} frames: {stepped.seconds:.1f} s; exposures, rests and moves alone {stepped.least_s:.1f} s: "
         f"{100 * stepped.overhead:+.1f} %; {100 * stepped.processor:.0f} % of one core"

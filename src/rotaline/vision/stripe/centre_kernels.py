@@ -171,7 +171,6 @@ def _finish(s: np.ndarray) -> None:
 def weighted_centroids(
     first: np.ndarray,
     count: np.ndarray,
-    lanes: int,
     distance: np.ndarray,
     above: np.ndarray,
     share: np.ndarray,

@@ -190,7 +190,7 @@ def _centres(
 ) -> tuple[Centres, Float[np.ndarray, " n"], float, float, bool, bool]:
     """See :func:`best_centres`."""
     shift, u, measured, height, *more = best_centres(
-        trace.uv, trace.starts, trace.normal, width, noise, strips.first, strips.count, strips.lanes, strips.distance, strips.level,
+        trace.uv, trace.starts, trace.normal, width, noise, strips.first, strips.count, strips.distance, strips.level,
         strips.share, ground.line[:, 2], start, window, adapt, most_held_px, best_scatter,
     )  # fmt: skip
     used, scatter, floor, better, wider = more

@@ -76,7 +76,6 @@ def best_centres(
     noise: np.ndarray,
     first: np.ndarray,
     count: np.ndarray,
-    lanes: int,
     distance: np.ndarray,
     level: np.ndarray,
     share: np.ndarray,
@@ -112,7 +111,7 @@ def best_centres(
     scatter, floor, better, wider = best_scatter, 0.0, False, False
     while True:
         weighted_centroids(
-            first, count, lanes, distance, level, share, slope_variance, start, width, window, _SHORT_PX, other_shift,
+            first, count, distance, level, share, slope_variance, start, width, window, _SHORT_PX, other_shift,
             other_u, other_measured, other_height,
         )  # fmt: skip
         for i in range(n):

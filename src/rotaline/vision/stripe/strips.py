@@ -21,7 +21,6 @@ class Strips:
     share : (m,)   weight: the less, the further along the stripe; 0 in places that hold no pixel
     clipped : (m,)   the pixel is at the top of the range; undefined for points without hits
     hits : (n,)   number of clipped pixels
-    lanes : int   pixels of each line of the image
     """
 
     first: Int[np.ndarray, " n"]
@@ -31,7 +30,6 @@ class Strips:
     share: Float32[np.ndarray, " m"]
     clipped: Bool[np.ndarray, " m"]
     hits: Int[np.ndarray, " n"]
-    lanes: int
 
     def places(self, points: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
         """The places of the strips of some points, and which of these points each belongs to."""
@@ -54,4 +52,4 @@ def strips_of(
         value.reshape(-1), source.reshape(-1), value is not source, float(plane.limit), plane.size, uv, normal, half_length_px,
         lanes,
     )  # fmt: skip
-    return Strips(first, count, distance, level, share, clipped, hits, lanes)
+    return Strips(first, count, distance, level, share, clipped, hits)

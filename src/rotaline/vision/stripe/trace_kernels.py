@@ -255,7 +255,7 @@ def follow(
     shift, measured, good = np.empty(n), np.empty(n), np.empty(n, np.bool_)
     height = np.empty(n)
     weighted_centroids(
-        first, count, 1, distance, level, share, line[:, 2], np.zeros(n), width_px, 1.0, _SHORT_PX, shift, np.empty(0),
+        first, count, distance, level, share, line[:, 2], np.zeros(n), width_px, 1.0, _SHORT_PX, shift, np.empty(0),
         measured, height,
     )  # fmt: skip
     for i in range(n):

@@ -84,7 +84,7 @@ def test_the_centroid_is_the_fixed_point_of_the_plain_one(sigma_px, window):
     shift, u, measured, height = (np.empty(n) for _ in range(4))
     level = strips.level - np.float32(scene.background)
     weighted_centroids(
-        strips.first, strips.count, 3, strips.distance, level, strips.share, slope, start, width, window, 1e-3, shift, u, measured,
+        strips.first, strips.count, strips.distance, level, strips.share, slope, start, width, window, 1e-3, shift, u, measured,
         height,
     )  # fmt: skip
     assert np.abs(shift - expected.shift_px).max() < 2e-2 * np.median(2.0 * expected.u_px)
@@ -141,7 +141,7 @@ def test_rough_centres_of_strips_of_one_and_of_three_lanes(lanes):
     n = len(uv)
     s = strips_of(Plane(image, image), uv, normal, np.full(n, 14.0), lanes)
     shift, *_ = best_centres(
-        uv, np.array([0, n]), normal, np.full(n, 2.5), np.ones(n), s.first, s.count, s.lanes, s.distance,
+        uv, np.array([0, n]), normal, np.full(n, 2.5), np.ones(n), s.first, s.count, s.distance,
         s.level - np.float32(scene.background), s.share, np.zeros(n), np.zeros(n), 1.0, False, 0.0, np.inf,
     )  # fmt: skip
     assert np.abs(shift).max() < 0.1
