@@ -27,8 +27,6 @@ from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 from rotaline.vision.stripe.model import StripePoints
 
 FRAMES_A_RANGE = 32
-_DECODED_BYTES = 8_000_000
-"""So much of images is decoded, by measurement, before stripes are extracted from them; a larger image is alone."""
 _SAME_ANGLE_RAD = 1e-9
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless")
 
@@ -102,30 +100,13 @@ def process_range(task: RangeTask) -> RangeResult:
 
 
 def _stripes(task: RangeTask) -> Iterator[StripePoints]:
-    """Some frames are decoded, then all of them extracted: either fills the processor's caches with what is its own."""
-    frames = _decoded(task)
-    while some := _some(frames):
-        for image, background in some:
-            if background is not None and not shows_same_scene(image, background):
-                background = None
-            yield extract_stripe(image, background, task.options)
-
-
-def _decoded(task: RangeTask) -> Iterator[tuple[Image, Image | None]]:
-    """Each frame and its background."""
     images = read_sources([frame.source for frame in task.frames])
     backgrounds = read_sources([source for source in task.backgrounds if source is not None])
     for image, source in zip(images, task.backgrounds, strict=True):
-        yield image, None if source is None else next(backgrounds)
-
-
-def _some(frames: Iterator[tuple[Image, Image | None]]) -> list[tuple[Image, Image | None]]:
-    """The next frames, with at least :data:`_DECODED_BYTES` of images, at least one if there is one."""
-    some, size = [], 0
-    while size < _DECODED_BYTES and (frame := next(frames, None)) is not None:
-        some.append(frame)
-        size += sum(image.nbytes for image in frame if image is not None)
-    return some
+        background: Image | None = None if source is None else next(backgrounds)
+        if background is not None and not shows_same_scene(image, background):
+            background = None
+        yield extract_stripe(image, background, task.options)
 
 
 def range_cloud(

@@ -78,24 +78,6 @@ def test_a_range_is_the_same_after_a_journey(session):
     assert (here.stripes.stripes()[1].uv == extract_stripe(read_source(image)).uv).all()
 
 
-@pytest.mark.parametrize("frames_at_once", [1, 3, 100])
-def test_each_frame_has_its_own_background_however_many_are_decoded_at_once(session, monkeypatch, frames_at_once):
-    frames = session.captures[0].on_frames[:5]
-    images = [read_source(frame.source) for frame in frames]
-    behind = (None, 3, 2, None, 0)
-    monkeypatch.setattr("rotaline.pipeline.ranges.shows_same_scene", lambda image, background: True)
-    monkeypatch.setattr("rotaline.pipeline.ranges._DECODED_BYTES", frames_at_once * images[0].nbytes)
-    sources = tuple(None if k is None else frames[k].source for k in behind)
-    found = process_range(_task(session, frames=frames, backgrounds=sources)).stripes.stripes()
-    expected = [
-        extract_stripe(image, None if k is None else images[k]) for image, k in zip(images, behind, strict=True)
-    ]
-    assert [len(stripe) for stripe in found] == [len(stripe) for stripe in expected]
-    for one, other in zip(found, expected, strict=True):
-        assert one.uv.tobytes() == other.uv.tobytes()
-    assert len({stripe.uv.tobytes() for stripe in found}) == len(frames)
-
-
 def test_another_program_is_refused_before_it_works(session):
     with pytest.raises(WorkError) as caught:
         process_range(_task(session, program="rotaline 0.0.1"))
