@@ -73,7 +73,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="small sizes and few repeats: a few minutes instead of three quarters of an hour",
+        help="small sizes and few repeats: a few minutes instead of twenty",
     )
     parser.add_argument("--only", nargs="+", metavar="NAME", choices=names, help=", ".join(names))
     parser.add_argument(

@@ -154,7 +154,7 @@ def scanned() -> tuple[SimulatedWorld, np.ndarray]:
     world = SimulatedWorld(rig, small_plan(rig, captures=("ball",)), SystemClock())
     world.set_up("ball")
     world.switch_laser(1.0)
-    image = world.expose(world.clock.now_s(), STEP_EXPOSURE_US, 1.0, streamed=True)
+    image = world.expose(world.clock.now_s(), STEP_EXPOSURE_US, 1.0, streamed=True)()
     world.switch_laser(None)
     return world, image
 
