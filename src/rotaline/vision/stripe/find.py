@@ -10,7 +10,7 @@ bright beside the chains that is a ridge in the half or quarter size of its tile
 """
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +52,7 @@ class Chains:
     Attributes
     ----------
     line, place, prominence : (n,)   points, px of the size in which they were found; the line is the row of steep chains, the column of flat ones
+    between, spread : (n,)   what is to be added to the place to get to the top, px; variance of the smoothed profile there, along the line, px^2
     start : (k + 1,)   where each chain begins
     steep, factor : (k,)   kind of each chain, and px of the full image for one of its own
     begin, end, chain : (m,)   points of the parts, and the chains they are of
@@ -60,6 +61,8 @@ class Chains:
     line: Int32[np.ndarray, " n"]
     place: Int32[np.ndarray, " n"]
     prominence: Float32[np.ndarray, " n"]
+    between: Float32[np.ndarray, " n"]
+    spread: Float32[np.ndarray, " n"]
     start: Int32[np.ndarray, " k1"]
     steep: Bool[np.ndarray, " k"]
     factor: Int32[np.ndarray, " k"]
@@ -107,7 +110,7 @@ class _Space:
 
     def more_room(self, n: int) -> None:
         """Make room for ``n`` candidates of each kind."""
-        self.where, self.what = np.zeros((4, n), dtype=np.int32), np.zeros((4, n), dtype=np.float32)
+        self.where, self.what = np.zeros((4, n), dtype=np.int32), np.zeros((8, n), dtype=np.float32)
 
     def unmarked(self) -> tuple[np.ndarray, int, np.ndarray]:
         """The map of marks, a number that is nowhere in it, and the map of zeros."""
@@ -179,7 +182,7 @@ def find(image: Image, background: Image | None, options: StripeOptions) -> tupl
     assert best is not None
     found = best.stripe
     k = measuring_channel(channels, options.channel, found.uv, best.prominence, found.chain, best.steep, found.scale_px)
-    return found, plane_of(channels, k)
+    return replace(found, clear=False), plane_of(channels, k)
 
 
 def find_chains(
@@ -196,20 +199,20 @@ def find_chains(
     rounding : float   step of the grey values; 0 where they are not rounded
     everywhere : bool   search every tile in all three sizes, and not only those where something may be
     """
-    found, chosen, explained = _search(image, 1.0, threshold, floor, min_length_px, rounding, everywhere)
+    found, chosen, explained, least = _search(image, 1.0, threshold, floor, min_length_px, rounding, everywhere)
     if everywhere or not explained:
         chains = _with_smaller_sizes(Chains(*found), image, threshold, floor, min_length_px, everywhere)
         chosen = choose(
-            chains.line, chains.place, chains.prominence, chains.steep, chains.factor, chains.begin, chains.end,
-            chains.chain, min_length_px,
+            chains.line, chains.place, chains.prominence, chains.between, chains.spread, chains.steep, chains.factor,
+            chains.begin, chains.end, chains.chain, min_length_px, least,
         )  # fmt: skip
-    uv, prominence, chain, scale, steep, crowded, strength, usual, length = chosen
-    return Chosen(FoundStripe(uv, chain, scale, crowded), prominence, steep, strength, usual, length)
+    uv, prominence, chain, spread, scale, steep, crowded, clear, strength, usual, length = chosen
+    return Chosen(FoundStripe(uv, chain, spread, scale, crowded, clear), prominence, steep, strength, usual, length)
 
 
 def _search(
     image: Values, scale: float, threshold: float, floor: float, min_length_px: float, rounding: float, everywhere: bool
-) -> tuple[list[Any], tuple[Any, ...], bool]:
+) -> tuple[list[Any], tuple[Any, ...], bool, float]:
     """Find the chains of one size of an image, of which a step stands for ``scale`` grey values.
 
     Returns
@@ -217,6 +220,7 @@ def _search(
     found : list   what :class:`Chains` holds
     chosen : tuple   the stripe by these alone, see :func:`rotaline.vision.stripe.settle_kernels.choose`
     explained : bool   no smaller size needs to be looked at
+    least : float   prominence of a candidate
     """
     h, w = image.shape
     if min(h, w) < _LEAST_SEARCHED:
@@ -233,7 +237,7 @@ def _search(
                 space.more_room(4 * space.where.shape[1])
         *found, chosen, left = assemble(
             n_tiles, n_steep, n_flat, h, w, space.tiles, space.order, space.light, space.where, space.what,
-            min_length_px, *space.unmarked(),
+            min_length_px, max(least, least_flat), *space.unmarked(),
         )  # fmt: skip
         if by_noise < floor or chosen[-2] > _CLEAR * max(least, least_flat):
             break
@@ -241,7 +245,7 @@ def _search(
     if 0 < left <= _FEW_LEFT:
         tiles, light = space.order[0, :left], space.light[:left]
         explained = not ridges_beside(values, scale, tiles, light, space.tiles.shape[2], min(least, least_flat))
-    return found, chosen, explained
+    return found, chosen, explained, max(least, least_flat)
 
 
 def _readable(image: Values) -> Values:
@@ -266,11 +270,12 @@ def _with_smaller_sizes(
         image, scale = smaller, scale * step
         sizes.append(Chains(*_search(image, scale, threshold, floor, min_length_px, 0.0, everywhere)[0]))
         factors.append(sizes[-1].factor * np.int32(2**level))
-    line, place, prominence, steep = (
-        np.concatenate([getattr(one, name) for one in sizes]) for name in ("line", "place", "prominence", "steep")
+    line, place, prominence, between, spread, steep = (
+        np.concatenate([getattr(one, name) for one in sizes])
+        for name in ("line", "place", "prominence", "between", "spread", "steep")
     )
     lengths = np.concatenate([np.diff(one.start) for one in sizes])
     start = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
     factor = np.concatenate(factors)
     parts = compete(line, place, prominence, start, steep, factor, *_spaces.of(*shape).unmarked())
-    return Chains(line, place, prominence, start, steep, factor, *parts)
+    return Chains(line, place, prominence, between, spread, start, steep, factor, *parts)

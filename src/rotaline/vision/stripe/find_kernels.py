@@ -62,7 +62,8 @@ def candidates(
     order : (2, rows * columns)   int32; becomes the tiles that were searched, and for each tile when that was (-1 where it was not)
     light : (rows * columns,)   uint64; becomes the bright pixels of the tiles that were searched
     where : (4, m)   int32; becomes line and place of steep candidates, then of flat ones; the line is the row of steep ones, the column of flat ones
-    what : (4, m)   float32; becomes prominence, and height above what is dark around, of steep candidates, then of flat ones
+    what : (8, m)   float32; becomes prominence, height above what is dark around, place of the top between the pixels, and mean fall over two
+        pixels, of steep candidates, then of flat ones
 
     Returns
     -------
@@ -145,7 +146,7 @@ def _collect(
     """
     near = 0
     n = count[kind]
-    first, second = 2 * kind, 2 * kind + 1
+    first, second, fact = 2 * kind, 2 * kind + 1, 4 * kind
     step, along, across = (1, 3, 2) if kind == 0 else (BLOCK_COLUMNS, 2, 3)
     edge_rows, edge_columns = (0, 3) if kind == 0 else (3, 0)
     for i in range(TILE):
@@ -160,8 +161,11 @@ def _collect(
                     continue
                 t = FIRST + i * BLOCK_COLUMNS + j
                 where[first, n], where[second, n] = (row, column) if kind == 0 else (column, row)
-                what[first, n] = smooth[t] - max(smooth[t - 3 * step], smooth[t + 3 * step])
-                what[second, n] = smooth[t] - low
+                top, before, behind = smooth[t], smooth[t] - smooth[t - step], smooth[t] - smooth[t + step]
+                what[fact, n] = top - max(smooth[t - 3 * step], smooth[t + 3 * step])
+                what[fact + 1, n] = top - low
+                what[fact + 2, n] = np.float32(0.5) * (before - behind) / (before + behind)
+                what[fact + 3, n] = top - np.float32(0.5) * (smooth[t - 2 * step] + smooth[t + 2 * step])
                 n += 1
                 x = 0 if j < across else 2 if j >= TILE - across else 1
                 near |= 1 << (3 * y + x) | 1 << (3 * y + 1) | 1 << (3 + x)

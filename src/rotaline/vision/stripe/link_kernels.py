@@ -23,12 +23,13 @@ def link(
     out_place: np.ndarray,
     out_prominence: np.ndarray,
     out_above: np.ndarray,
+    out_origin: np.ndarray,
     start: np.ndarray,
     n_chains: int,
 ) -> int:
     """Append the chains of n candidates: those on neighbouring lines are linked where each is the other's nearest.
 
-    ``above`` is how high they are above what is dark around.
+    ``above`` is how high they are above what is dark around; ``out_origin`` becomes the candidate that each point is.
     Up to two lines may be missing between two linked candidates. ``start[k]`` is where chain k begins in what is appended to. Returns the
     number of chains.
     """
@@ -74,7 +75,7 @@ def link(
         m = k
         while m >= 0:
             out_line[to], out_place[to] = lines[m], places[m]
-            out_prominence[to], out_above[to] = prominence[order[m]], above[order[m]]
+            out_prominence[to], out_above[to], out_origin[to] = prominence[order[m]], above[order[m]], order[m]
             to += 1
             m = successor[m]
         if to - begin < _SHORTEST:

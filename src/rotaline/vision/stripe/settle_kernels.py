@@ -9,6 +9,7 @@ from rotaline.geometry.compiled import compiled
 _MAX_CHAINS = 400
 _SHORTEST = 4  # points of a chain
 _CROWD = 20  # chains; a stripe alone makes fewer
+_CLEAR, _MOST_OF_ALL = 5.0, 0.9
 _CROWD_PART, _CROWD_SHARE, _FAINT_PART = 0.25, 0.04, 0.035
 
 
@@ -273,12 +274,15 @@ def choose(
     line: np.ndarray,
     place: np.ndarray,
     prominence: np.ndarray,
+    between: np.ndarray,
+    spread: np.ndarray,
     steep: np.ndarray,
     factor: np.ndarray,
     begin: np.ndarray,
     end: np.ndarray,
     chain: np.ndarray,
     min_length_px: float,
+    least: float,
 ) -> tuple:
     """The parts of chains that are the stripe, strongest first.
 
@@ -288,10 +292,11 @@ def choose(
     Returns
     -------
     uv : (n, 2)   px of the full image
-    prominence, chain : (n,)
+    prominence, chain, spread : (n,)
     scale_px : (k,)
     is_steep : (k,)
     crowded : bool
+    clear : bool   all were found at the full size, and nine in ten points stand out by so many times the ``least`` prominence
     strength, prominence, length_px : of the strongest part: the sum and the median of its prominence, and its length
     """
     n = len(begin)
@@ -321,19 +326,22 @@ def choose(
             size += end[p] - begin[p]
     uv = np.empty((size, 2), np.float64)
     number = np.empty(size, np.int64)
-    heights = np.empty(size, np.float64)
+    heights, wide = np.empty(size, np.float64), np.empty(size, np.float64)
     scale = np.empty(m, np.float64)
     is_steep = np.empty(m, np.bool_)
-    to = 0
+    to, fine, n_clear = 0, True, 0
     for q in range(m):
         p = kept[q]
+        fine &= factor[chain[p]] == 1
         c = chain[p]
         scale[q], is_steep[q] = factor[c], steep[c]
         for k in range(begin[p], end[p]):
-            row, column = (line[k], place[k]) if steep[c] else (place[k], line[k])
-            uv[to, 0] = column * factor[c] + 0.5 * (factor[c] - 1)
-            uv[to, 1] = row * factor[c] + 0.5 * (factor[c] - 1)
+            on, across = (1, 0) if steep[c] else (0, 1)
+            uv[to, on] = line[k] * factor[c] + 0.5 * (factor[c] - 1)
+            uv[to, across] = place[k] + between[k] if factor[c] == 1 else place[k] * factor[c] + 0.5 * (factor[c] - 1)
             number[to] = q
-            heights[to] = prominence[k]
+            heights[to], wide[to] = prominence[k], spread[k]
+            n_clear += prominence[k] > _CLEAR * least
             to += 1
-    return uv, heights, number, scale, is_steep, crowded, best, usual, length
+    clear = fine and n_clear >= _MOST_OF_ALL * size
+    return uv, heights, number, wide, scale, is_steep, crowded, clear, best, usual, length

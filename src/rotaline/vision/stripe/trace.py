@@ -8,10 +8,11 @@ from jaxtyping import Float, Int
 from rotaline.vision.stripe.found import FoundStripe
 from rotaline.vision.stripe.plane import Plane
 from rotaline.vision.stripe.strips import strips_of
-from rotaline.vision.stripe.trace_kernels import begin, follow, half_maximum, lines_across, long_chains
+from rotaline.vision.stripe.trace_kernels import begin, follow, follow_tops, half_maximum, lines_across, long_chains
 
 SHORTEST = 4  # points of a piece
 _WIDER = 1.5
+_SIMPLE_PX = (0.75, 2.2)  # widths that the profile two pixels from its top tells
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,13 @@ def trace_stripe(found: FoundStripe, plane: Plane, least: int) -> Trace | None:
     if len(found.uv) == 0:
         return None
     uv, coarse = found.uv, bool((found.scale_px > 1.0).any())
+    if found.clear:
+        uv, starts, width, normal, known = follow_tops(
+            uv, found.chain, found.spread_px2, *_SIMPLE_PX, max(SHORTEST, least // 2)
+        )
+        if known:
+            return _long(uv, starts, width, normal, least)
+        uv = found.uv
     if coarse:
         uv, starts, width, normal = begin(uv, found.chain, found.scale_px)
         p = strips_of(plane, uv, normal, 3.0 * width, 1)
@@ -68,5 +76,16 @@ def trace_stripe(found: FoundStripe, plane: Plane, least: int) -> Trace | None:
         along = normal
         if width.max() <= _WIDER * widest and (len(starts) == 2 or not coarse):
             break
+    return _long(uv, starts, width, normal, least)
+
+
+def _long(
+    uv: Float[np.ndarray, "n 2"],
+    starts: Int[np.ndarray, " k1"],
+    width: Float[np.ndarray, " n"],
+    normal: Float[np.ndarray, "n 2"],
+    least: int,
+) -> Trace | None:
+    """The chains of ``least`` points or more; None where there is none."""
     uv, starts, width, normal = long_chains(uv, starts, width, normal, least)
     return Trace(uv, starts, width, normal) if len(uv) else None

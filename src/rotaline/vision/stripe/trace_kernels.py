@@ -64,6 +64,16 @@ def begin(uv: np.ndarray, chain: np.ndarray, scale_px: np.ndarray) -> tuple:
 
 @compiled
 @no_type_check
+def _steep(uv: np.ndarray, start: int, stop: int) -> bool:
+    """Whether each point of a chain that was found stands on another row; otherwise each stands on another column."""
+    for i in range(start + 1, stop):
+        if abs(uv[i, 1] - uv[i - 1, 1]) < 1.0:
+            return False
+    return True
+
+
+@compiled
+@no_type_check
 def lines_across(uv: np.ndarray, chain: np.ndarray) -> tuple:
     """The found chains as they are, to be looked at along the rows or columns in which their points were found.
 
@@ -75,9 +85,7 @@ def lines_across(uv: np.ndarray, chain: np.ndarray) -> tuple:
     normal = normals(uv, starts, _ROUGH_PX)
     along, width = np.empty_like(normal), np.empty(len(uv))
     for c in range(len(starts) - 1):
-        steep = True
-        for i in range(starts[c] + 1, starts[c + 1]):
-            steep &= abs(uv[i, 1] - uv[i - 1, 1]) >= 1.0
+        steep = _steep(uv, starts[c], starts[c + 1])
         for i in range(starts[c], starts[c + 1]):
             along[i, 0], along[i, 1] = (1.0, 0.0) if steep else (0.0, 1.0)
             cosine = abs(normal[i, 0]) if steep else abs(normal[i, 1])
@@ -263,12 +271,59 @@ def follow(
         wide = measured[i] if good[i] else width_px[i]
         wide *= abs(along[i, 0] * normal[i, 0] + along[i, 1] * normal[i, 1])
         measured[i] = min(max(wide, _LEAST_WIDTH_PX), _MOST_WIDTH_PX)
-    alike(measured, starts, 0.25, good)
     moved, tangent = np.empty((n, 2)), np.empty((n, 2))
     for i in range(n):
         s = shift[i] if good[i] else 0.0
         moved[i, 0], moved[i, 1] = uv[i, 0] + s * along[i, 0], uv[i, 1] + s * along[i, 1]
         tangent[i, 0], tangent[i, 1] = normal[i, 1], -normal[i, 0]
+    alike(measured, starts, 0.25, good)
+    return _curves(moved, tangent, measured, good, starts, least, join)
+
+
+@compiled
+@no_type_check
+def follow_tops(uv: np.ndarray, chain: np.ndarray, spread_px2: np.ndarray, least_px: float, most_px: float, least: int) -> tuple:
+    """The same for the tops of the smoothed image, without another look at it.
+
+    Parameters
+    ----------
+    spread_px2 : (n,)   variance of the smoothed profile along the row or column
+    least_px, most_px : float   widths between which it tells the width
+
+    Returns
+    -------
+    points, starts, widths, normals
+    known : bool   all widths are between these
+    """
+    n = len(uv)
+    starts = starts_of(chain)
+    smooth, tangent = np.empty_like(uv), np.empty_like(uv)
+    local_lines(uv, starts, _WINDOW, _ROUGH_PX, smooth, tangent)
+    measured, good = np.empty(n), np.ones(n, np.bool_)
+    for c in range(len(starts) - 1):
+        k = 1 if _steep(uv, starts[c], starts[c + 1]) else 0
+        for i in range(starts[c], starts[c + 1]):
+            variance = spread_px2[i] * tangent[i, k] * tangent[i, k] - 1.0
+            measured[i] = np.sqrt(min(max(variance, _LEAST_WIDTH_PX * _LEAST_WIDTH_PX), _MOST_WIDTH_PX * _MOST_WIDTH_PX))
+    points, edges, width, normal = _curves(uv.copy(), tangent, measured, good, starts, least, True)
+    known = True
+    for w in width:
+        known &= least_px <= w <= most_px
+    return points, edges, width, normal, known
+
+
+@compiled
+@no_type_check
+def _curves(
+    moved: np.ndarray,
+    tangent: np.ndarray,
+    measured: np.ndarray,
+    good: np.ndarray,
+    starts: np.ndarray,
+    least: int,
+    join: bool,
+) -> tuple:
+    """The end of :func:`follow`, from the points where they have moved to: those that are good are to stay; ``moved`` changes."""
     index, edges = break_chains(moved, tangent, good, starts, least)
     _straighten(moved, index, edges, measured)
     moved, kept = moved[index], measured[index]
