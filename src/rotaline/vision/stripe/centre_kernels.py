@@ -43,35 +43,6 @@ def _bell(t: float) -> float:
 
 @compiled
 @no_type_check
-def _add_light(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> None:
-    """One place of a block: weight times light times powers of x is added to the sums ``s``."""
-    for k in range(BLOCK):
-        x = d[k] - s[_SHIFT + k]
-        square = x * x
-        wp = w[k] * _bell(square * s[_BY_WINDOW + k]) * p[k]
-        s[_P0 + k] += wp
-        s[_P1 + k] += wp * x
-        s[_P2 + k] += wp * square
-
-
-@compiled
-@no_type_check
-def _add_light_3(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> None:
-    """The same for three places at once."""
-    for k in range(BLOCK):
-        centre, by_window = s[_SHIFT + k], s[_BY_WINDOW + k]
-        x, y, z = d[k] - centre, d[k + BLOCK] - centre, d[k + 2 * BLOCK] - centre
-        xx, yy, zz = x * x, y * y, z * z
-        a = w[k] * _bell(xx * by_window) * p[k]
-        b = w[k + BLOCK] * _bell(yy * by_window) * p[k + BLOCK]
-        c = w[k + 2 * BLOCK] * _bell(zz * by_window) * p[k + 2 * BLOCK]
-        s[_P0 + k] += a + b + c
-        s[_P1 + k] += a * x + b * y + c * z
-        s[_P2 + k] += a * xx + b * yy + c * zz
-
-
-@compiled
-@no_type_check
 def _add(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> None:
     """One place of a block: all that centre, width, height and uncertainty are made of is added to the sums ``s``.
 
@@ -186,8 +157,7 @@ def weighted_centroids(
 ) -> None:
     """As :func:`rotaline.vision.stripe.plain.centres.weighted_centroid`, until no step in a block is longer than ``short_px``.
 
-    All but the last steps are made towards the centre of the light alone. Results stand in the last four arrays. The uncertainties are
-    left out where ``u_px`` is empty.
+    Results stand in the last four arrays. The uncertainties are left out where ``u_px`` is empty.
     """
     n = len(start_px)
     s = np.zeros(20 * BLOCK, _F)
@@ -203,20 +173,6 @@ def weighted_centroids(
         while low < high and _beyond(s, limit, distance[high - BLOCK : high]):
             high -= BLOCK
         rest = low + (high - low) // (3 * BLOCK) * 3 * BLOCK
-        s[_G0:_G1], s[_G1:_G2] = _UNIT, _ZERO
-        for _ in range(_MOST_STEPS):
-            s[_P0:_K0] = _ZERO
-            for a in range(low, rest, 3 * BLOCK):
-                b = a + 3 * BLOCK
-                _add_light_3(s, distance[a:b], above[a:b], share[a:b])
-            for a in range(rest, high, BLOCK):
-                b = a + BLOCK
-                _add_light(s, distance[a:b], above[a:b], share[a:b])
-            far = _step(s, _NEAR)
-            for k in range(BLOCK):
-                s[_SHIFT + k] += s[_STEP + k]
-            if far == 0:
-                break
         for turn in range(_MOST_STEPS):
             s[_G0:_STEP] = _ZERO
             for a in range(low, rest, 3 * BLOCK):

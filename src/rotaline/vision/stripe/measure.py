@@ -28,7 +28,7 @@ from rotaline.vision.stripe.uncertainty_kernels import scatter_and_floor
 _REACH = 3.5  # widths of the window
 SIDE_PX, SIDE_WIDTHS = 4.0, 4.0  # the strips reach so many widths and px to both sides
 NOISE_FROM = 3.3  # widths: pixels further out tell the noise
-LAG, PAIRS = 3, 96  # points between profiles whose pixels are compared; such pairs a chain
+LAG, PAIRS = 3, 64  # points between profiles whose pixels are compared; such pairs a chain
 _MOST_HELD_PX = 2.0  # the first strips hold the wider window of a stripe up to this width
 _PIXEL_PX = 12.0**-0.5  # standard deviation of a pixel's width
 _FIT_REACH = 4.5  # widths

@@ -15,7 +15,7 @@ _AROUND = 8  # points on both sides that tell of an edge
 _LEAST_STEPPED = 5  # so few are at a corner, where the side of a point sees what the stripe turns to
 _WIDTH_TOLERANCE = 0.08  # a window may be off by this part
 _WIDER = 1.05  # a wider window, which minds the shape of the profile less, may cost so much scatter
-_SHORT_PX = 0.1  # a step is the last when it is shorter: the next would be a hundredth of it, seldom a tenth
+_SHORT_PX = 0.25  # a step is the last when it is shorter: the next would be some hundredths of it
 
 
 @compiled

@@ -277,7 +277,7 @@ def follow(
         moved[i, 0], moved[i, 1] = uv[i, 0] + s * along[i, 0], uv[i, 1] + s * along[i, 1]
         tangent[i, 0], tangent[i, 1] = normal[i, 1], -normal[i, 0]
     alike(measured, starts, 0.25, good)
-    return _curves(moved, tangent, measured, good, starts, least, join)
+    return _curves(moved, tangent, measured, good, starts, least, True, join)
 
 
 @compiled
@@ -305,7 +305,7 @@ def follow_tops(uv: np.ndarray, chain: np.ndarray, spread_px2: np.ndarray, least
         for i in range(starts[c], starts[c + 1]):
             variance = spread_px2[i] * tangent[i, k] * tangent[i, k] - 1.0
             measured[i] = np.sqrt(min(max(variance, _LEAST_WIDTH_PX * _LEAST_WIDTH_PX), _MOST_WIDTH_PX * _MOST_WIDTH_PX))
-    points, edges, width, normal = _curves(uv.copy(), tangent, measured, good, starts, least, True)
+    points, edges, width, normal = _curves(uv.copy(), tangent, measured, good, starts, least, False, True)
     known = True
     for w in width:
         known &= least_px <= w <= most_px
@@ -321,11 +321,13 @@ def _curves(
     good: np.ndarray,
     starts: np.ndarray,
     least: int,
+    straight: bool,
     join: bool,
 ) -> tuple:
     """The end of :func:`follow`, from the points where they have moved to: those that are good are to stay; ``moved`` changes."""
     index, edges = break_chains(moved, tangent, good, starts, least)
-    _straighten(moved, index, edges, measured)
+    if straight:
+        _straighten(moved, index, edges, measured)
     moved, kept = moved[index], measured[index]
     width, smooth, ahead = np.empty(len(kept)), np.empty_like(moved), np.empty_like(moved)
     window_mean(kept, edges, 10, width)

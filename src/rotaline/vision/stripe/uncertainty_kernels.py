@@ -70,22 +70,49 @@ def pixel_noise(differences: np.ndarray, ends: np.ndarray, starts: np.ndarray, f
 
 @compiled
 @no_type_check
+def _fourth_differences(
+    u: np.ndarray,
+    v: np.ndarray,
+    nu: np.ndarray,
+    nv: np.ndarray,
+    stated: np.ndarray,
+    start: int,
+    size: int,
+    lag: int,
+    limit: float,
+    out: np.ndarray,
+) -> int:
+    """Fourth differences of a chain along its normals where the stated uncertainty is not above a limit, infinite elsewhere; how many are finite."""
+    number, a = np.int32(0), np.uint64(start)
+    b, c, d, e = a + np.uint64(lag), a + np.uint64(2 * lag), a + np.uint64(3 * lag), a + np.uint64(4 * lag)
+    for i in range(np.uint64(size)):
+        du = u[a + i] - 4.0 * u[b + i] + 6.0 * u[c + i] - 4.0 * u[d + i] + u[e + i]
+        dv = v[a + i] - 4.0 * v[b + i] + 6.0 * v[c + i] - 4.0 * v[d + i] + v[e + i]
+        clear = stated[c + i] <= limit
+        out[i] = np.float32(abs(du * nu[c + i] + dv * nv[c + i])) if clear else np.float32(np.inf)
+        number += np.int32(clear)
+    return number
+
+
+@compiled
+@no_type_check
 def scatter_and_floor(
     uv: np.ndarray, starts: np.ndarray, normal: np.ndarray, shift_px: np.ndarray, u_px: np.ndarray, noise: np.ndarray
 ) -> tuple:
     """As :func:`rotaline.vision.stripe.plain.uncertainty.scatter_and_floor`, of points moved by ``shift_px`` (NaN: not found)."""
     n = len(uv)
-    u, v, stated = np.empty(n), np.empty(n), np.empty(n, np.float32)
+    u, v, nu, nv, stated = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.float32)
     for i in range(n):
-        found = not np.isnan(shift_px[i])
+        found = shift_px[i] == shift_px[i]
         s = shift_px[i] if found else 0.0
-        u[i], v[i] = uv[i, 0] + s * normal[i, 0], uv[i, 1] + s * normal[i, 1]
+        nu[i], nv[i] = normal[i, 0], normal[i, 1]
+        u[i], v[i] = uv[i, 0] + s * nu[i], uv[i, 1] + s * nv[i]
         stated[i] = u_px[i] * noise[i] if found else 9.0
     scratch, m = np.empty(n, np.float32), 0
     for c in range(len(starts) - 1):
-        for i in range(starts[c] + _REACH, starts[c + 1] - _REACH):
-            scratch[m] = stated[i]
-            m += 1
+        size = max(starts[c + 1] - starts[c] - 2 * _REACH, 0)
+        scratch[m : m + size] = stated[starts[c] + _REACH : starts[c] + _REACH + size]
+        m += size
     if m < _LEAST_POINTS:
         return 0.0, 0.0
     middle, expected = (
@@ -94,19 +121,15 @@ def scatter_and_floor(
     )  # median of all, and of the clear half
     first = measured = limit = 0.0
     for lag in (3, 8):
-        reach = 2 * lag
         m = clear = 0
         for c in range(len(starts) - 1):
-            m += max(starts[c + 1] - starts[c] - 2 * reach, 0)
-            for i in range(starts[c] + reach, starts[c + 1] - reach):
-                du = u[i - reach] - 4.0 * u[i - lag] + 6.0 * u[i] - 4.0 * u[i + lag] + u[i + reach]
-                dv = v[i - reach] - 4.0 * v[i - lag] + 6.0 * v[i] - 4.0 * v[i + lag] + v[i + reach]
-                scratch[clear] = abs(du * normal[i, 0] + dv * normal[i, 1])
-                clear += stated[i] <= middle
+            size = max(starts[c + 1] - starts[c] - 4 * lag, 0)
+            clear += _fourth_differences(u, v, nu, nv, stated, starts[c], size, lag, middle, scratch[m : m + size])
+            m += size
         if m < _LEAST_POINTS:
             break
         limit = expected * (1.0 + 3.5 / np.sqrt(clear))
-        found_now = 1.4826 / np.sqrt(70.0) * _just_above(scratch, clear, clear // 2)
+        found_now = 1.4826 / np.sqrt(70.0) * _just_above(scratch, m, clear // 2)
         if lag == 3:
             first = measured = found_now
         elif found_now > _GRAINY * first:
