@@ -150,6 +150,7 @@ def weighted_centroids(
     width_px: np.ndarray,
     window: float,
     short_px: float,
+    wanted: np.ndarray,
     shift_px: np.ndarray,
     u_px: np.ndarray,
     measured_px: np.ndarray,
@@ -157,7 +158,7 @@ def weighted_centroids(
 ) -> None:
     """As :func:`rotaline.vision.stripe.plain.centres.weighted_centroid`, until no step in a block is longer than ``short_px``.
 
-    Results stand in the last four arrays. The uncertainties are left out where ``u_px`` is empty.
+    Only of ``wanted`` blocks, (blocks,) bool. Results stand in the last four arrays. The uncertainties are left out where ``u_px`` is empty.
     """
     n = len(start_px)
     s = np.zeros(20 * BLOCK, _F)
@@ -166,6 +167,8 @@ def weighted_centroids(
     short = _F(short_px)
     for begin in range(0, n, BLOCK):
         end = min(begin + BLOCK, n)
+        if not wanted[begin // BLOCK]:
+            continue
         _prepare(s, limit, start_px[begin:end], width_px[begin:end], slope_variance[begin:end], window)
         low, high = first[begin], first[begin] + BLOCK * count[begin]
         while low < high and _beyond(s, limit, distance[low : low + BLOCK]):

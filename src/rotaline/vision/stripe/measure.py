@@ -10,9 +10,11 @@ from rotaline.vision.stripe.centres import Centres
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
 from rotaline.vision.stripe.measure_kernels import (
+    SIDE_PX,
+    SIDE_WIDTHS,
     best_centres,
     clipped_cores,
-    sides_and_noise,
+    read_stripe,
     subtract_lines,
 )
 from rotaline.vision.stripe.options import StripeOptions
@@ -20,15 +22,11 @@ from rotaline.vision.stripe.plane import Plane
 from rotaline.vision.stripe.profiles import sample_profiles
 from rotaline.vision.stripe.row_kernels import cross_lines, flat_centroids
 from rotaline.vision.stripe.steger_kernels import ridge_points
-from rotaline.vision.stripe.strip_kernels import side_differences
 from rotaline.vision.stripe.strips import Strips, strips_of
 from rotaline.vision.stripe.trace import Trace
 from rotaline.vision.stripe.uncertainty_kernels import scatter_and_floor
 
 _REACH = 3.5  # widths of the window
-SIDE_PX, SIDE_WIDTHS = 4.0, 4.0  # the strips reach so many widths and px to both sides
-NOISE_FROM = 3.3  # widths: pixels further out tell the noise
-LAG, PAIRS = 3, 64  # points between profiles whose pixels are compared; such pairs a chain
 _MOST_HELD_PX = 2.0  # the first strips hold the wider window of a stripe up to this width
 _PIXEL_PX = 12.0**-0.5  # standard deviation of a pixel's width
 _FIT_REACH = 4.5  # widths
@@ -99,18 +97,13 @@ def measure(trace: Trace, plane: Plane, options: StripeOptions) -> Measured:
         uv, starts, width, along, normal = cross_lines(trace.uv, trace.starts, trace.width_px, trace.normal)
         trace = Trace(uv, starts, width, along)
     width = trace.width_px
-    strips = _strips(trace, plane, SIDE_WIDTHS * width + SIDE_PX, 1 if options.method == "gray-gravity" else 3)
-    differences, ends = side_differences(
-        plane.flat, plane.size, trace.uv, trace.normal, trace.starts, NOISE_FROM * width,
-        SIDE_WIDTHS * width + SIDE_PX, LAG, PAIRS,
+    value, source = plane.value, plane.source
+    *read, line, noise, differ, some, clipped = read_stripe(
+        value.reshape(-1), source.reshape(-1), value is not source, float(plane.limit), plane.size, trace.uv, trace.starts,
+        trace.normal, width, 1 if options.method == "gray-gravity" else 3, 0.29 * plane.unit,
     )  # fmt: skip
-    line, noise, differ, some = sides_and_noise(
-        trace.starts, width, strips.first, strips.count, strips.distance, strips.level, strips.share, strips.clipped, strips.hits,
-        differences, ends, 0.29 * plane.unit,
-    )  # fmt: skip
-    ground = _Ground(line)
+    strips, ground = Strips(*read), _Ground(line)
     zero = u_edge = np.zeros(len(width))
-    clipped = bool(strips.hits.any())
     if options.method in ("improved-gray-gravity", "profile-fit"):
         start = zero
         if some:

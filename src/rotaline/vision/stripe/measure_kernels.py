@@ -7,9 +7,12 @@ import numpy as np
 from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.centre_kernels import subtract_sides, weighted_centroids
 from rotaline.vision.stripe.chain_kernels import window_mean
-from rotaline.vision.stripe.strip_kernels import BLOCK
+from rotaline.vision.stripe.strip_kernels import BLOCK, read_strips, side_differences
 from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_floor
 
+SIDE_PX, SIDE_WIDTHS = 4.0, 4.0  # the strips reach so many widths and px to both sides
+_NOISE_FROM = 3.3  # widths: pixels further out tell the noise
+_LAG, _PAIRS = 3, 64  # points between profiles whose pixels are compared; such pairs a chain
 _DIFFER = 4.0  # noises
 _AROUND = 8  # points on both sides that tell of an edge
 _LEAST_STEPPED = 5  # so few are at a corner, where the side of a point sees what the stripe turns to
@@ -20,30 +23,45 @@ _SHORT_PX = 0.25  # a step is the last when it is shorter: the next would be som
 
 @compiled
 @no_type_check
-def sides_and_noise(
+def read_stripe(
+    value: np.ndarray,
+    source: np.ndarray,
+    subtracted: bool,
+    limit: float,
+    size: tuple,
+    uv: np.ndarray,
     starts: np.ndarray,
+    normal: np.ndarray,
     width_px: np.ndarray,
-    first: np.ndarray,
-    count: np.ndarray,
-    distance: np.ndarray,
-    level: np.ndarray,
-    share: np.ndarray,
-    clipped: np.ndarray,
-    hits: np.ndarray,
-    differences: np.ndarray,
-    ends: np.ndarray,
+    lanes: int,
     floor: float,
 ) -> tuple:
-    """Subtract the background from the strips.
+    """The strips of a traced stripe, without their background.
+
+    Parameters
+    ----------
+    value, source, subtracted, limit, size, lanes
+        See :func:`rotaline.vision.stripe.strip_kernels.read_strips`.
+    floor : least noise of a pixel
 
     Returns
     -------
+    first, count, distance, level, share, clipped, hits
+        See :class:`rotaline.vision.stripe.strips.Strips`.
     line : (n, 3)   of :func:`subtract_sides`
     noise : (n,)   of a pixel
     steps : (n,) bool   the two sides differ, here and around
     any_steps : bool   at some points, which are worth a fit
+    any_hits : bool   some pixel is clipped
     """
     n = len(width_px)
+    far, side = np.empty(n), np.empty(n)
+    for i in range(n):
+        far[i], side[i] = SIDE_WIDTHS * width_px[i] + SIDE_PX, _NOISE_FROM * width_px[i]
+    first, count, distance, level, share, clipped, hits = read_strips(
+        value, source, subtracted, limit, size, uv, normal, far, lanes
+    )
+    differences, ends = side_differences(value, size, uv, normal, starts, side, far, _LAG, _PAIRS)
     line, sides = np.empty((n, 3)), np.empty((n, 2))
     subtract_sides(first, count, distance, level, share, clipped, hits, width_px, line, sides)
     noise = pixel_noise(differences, ends, starts, floor)
@@ -63,7 +81,10 @@ def sides_and_noise(
             steps[i] = mean[i] > 0.5
             stepped += steps[i]
         some = stepped >= _LEAST_STEPPED
-    return line, noise, steps, some
+    any_hits = False
+    for i in range(n):
+        any_hits |= hits[i] > 0
+    return first, count, distance, level, share, clipped, hits, line, noise, steps, some, any_hits
 
 
 @compiled
@@ -107,19 +128,20 @@ def best_centres(
     n = len(width_px)
     shift, u, measured, height = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     other_shift, other_u, other_measured, other_height = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    start, width = start_px.copy(), width_px.copy()
+    start, width, wanted = start_px.copy(), width_px.copy(), np.ones(n // BLOCK + 1, np.bool_)
     scatter, floor, better, wider = best_scatter, 0.0, False, False
     while True:
         weighted_centroids(
-            first, count, distance, level, share, slope_variance, start, width, window, _SHORT_PX, other_shift,
-            other_u, other_measured, other_height,
+            first, count, distance, level, share, slope_variance, start, width, window, _SHORT_PX, wanted,
+            other_shift, other_u, other_measured, other_height,
         )  # fmt: skip
         for i in range(n):
             start[i] = start[i] if np.isnan(other_shift[i]) else other_shift[i]
         if adapt:
             adapt = False
-            if _adapt(other_measured, starts, width_px, width):
+            if _adapt(other_measured, starts, width_px, width, wanted):
                 continue
+        wanted[:] = True
         scatter_now, floor_now = scatter_and_floor(uv, starts, normal, other_shift, other_u, noise)
         if not better or scatter_now < _WIDER * scatter:
             better = scatter_now < _WIDER * scatter
@@ -142,24 +164,27 @@ def best_centres(
 
 @compiled
 @no_type_check
-def _adapt(measured: np.ndarray, starts: np.ndarray, width_px: np.ndarray, width: np.ndarray) -> bool:
-    """Put measured widths, averaged along the stripe, in the place of ``width`` where that matters; whether it does anywhere."""
+def _adapt(
+    measured: np.ndarray, starts: np.ndarray, width_px: np.ndarray, width: np.ndarray, changed: np.ndarray
+) -> bool:
+    """Put measured widths, averaged along the stripe, in the place of ``width`` in blocks in which that matters; whether there are such."""
     n = len(width)
     bounded, better = np.empty(n), np.empty(n)
     for i in range(n):
         w = measured[i] if measured[i] > 0.0 else 1.0  # NaN where nothing was seen
         bounded[i] = min(max(w, 0.6 * width_px[i]), 1.5 * width_px[i])
     window_mean(bounded, starts, 10, better)
-    changed = False
+    some = False
     for a in range(0, n, BLOCK):
         b = min(a + BLOCK, n)
         same = True
         for i in range(a, b):
             same &= abs(better[i] - width[i]) <= _WIDTH_TOLERANCE * width[i]
+        changed[a // BLOCK] = not same
         if not same:
             width[a:b] = better[a:b]
-            changed = True
-    return changed
+            some = True
+    return some
 
 
 @compiled

@@ -27,11 +27,6 @@ class Plane:
     lit: bool = False
 
     @property
-    def flat(self) -> UInt8[np.ndarray, " p"] | UInt16[np.ndarray, " p"] | Float32[np.ndarray, " p"]:
-        """The grey values, row after row."""
-        return self.value.reshape(-1)
-
-    @property
     def top(self) -> int:
         """Greatest value of the sensor's range."""
         return int(np.iinfo(self.source.dtype).max)

@@ -263,8 +263,8 @@ def follow(
     shift, measured, good = np.empty(n), np.empty(n), np.empty(n, np.bool_)
     height = np.empty(n)
     weighted_centroids(
-        first, count, distance, level, share, line[:, 2], np.zeros(n), width_px, 1.0, _SHORT_PX, shift, np.empty(0),
-        measured, height,
+        first, count, distance, level, share, line[:, 2], np.zeros(n), width_px, 1.0, _SHORT_PX,
+        np.ones(n // BLOCK + 1, np.bool_), shift, np.empty(0), measured, height,
     )  # fmt: skip
     for i in range(n):
         good[i] = abs(shift[i]) <= 1.5 * width_px[i] + 1.0
