@@ -15,7 +15,7 @@ ONE = "improved-gray-gravity"
 
 @pytest.fixture(scope="module")
 def table():
-    rows = verify_stripe(n_images=4, methods=[ONE, f"{ONE}, average 5 px", "profile-fit"])
+    rows = verify_stripe(n_images=8, methods=[ONE, f"{ONE}, average 5 px", "profile-fit"])
     return {(row.case, row.method): row for row in rows}
 
 

@@ -40,10 +40,10 @@ class Trace:
 def trace_stripe(found: FoundStripe, plane: Plane, least: int) -> Trace | None:
     """Follow the chains at full resolution; None where no piece of ``least`` points is left.
 
-    The pixels across the chains are taken, one a line of the image: along the rows or columns in which the points were found, or, of
-    chains found in a smaller image, along the normals. The points move to the centroids, the chains are broken where the centres jump and joined
-    across gaps, and the points spaced equally. Where the stripe is wider than it was thought to be, or was found in a smaller image and
-    is in pieces, this is done once more, along the normals.
+    Where the stripe is clear and not wide, the tops that were found tell enough. Elsewhere the pixels across the chains are taken, one a line of
+    the image: along the rows or columns in which the points were found, or, of chains found in a smaller image, along the normals. The
+    points move to the centroids. The chains are broken where they jump and joined across gaps, and the points spaced equally. Where the stripe
+    is wider than it was thought to be, or was found in a smaller image and is in pieces, this is done once more, along the normals.
     """
     if len(found.uv) == 0:
         return None
@@ -66,7 +66,7 @@ def trace_stripe(found: FoundStripe, plane: Plane, least: int) -> Trace | None:
         starts, width, normal, along = lines_across(uv, found.chain)
     for last in (False, True):
         if len(uv) == 0:
-            return None
+            break
         p = strips_of(plane, uv, along, 3.5 * width + 3.0, 1)
         widest = width.max()
         uv, starts, width, normal = follow(
@@ -74,7 +74,7 @@ def trace_stripe(found: FoundStripe, plane: Plane, least: int) -> Trace | None:
             least if last else max(SHORTEST, least // 2), not last,
         )  # fmt: skip
         along = normal
-        if width.max() <= _WIDER * widest and (len(starts) == 2 or not coarse):
+        if width.max(initial=0.0) <= _WIDER * widest and (len(starts) == 2 or not coarse):
             break
     return _long(uv, starts, width, normal, least)
 

@@ -282,7 +282,9 @@ def follow(
 
 @compiled
 @no_type_check
-def follow_tops(uv: np.ndarray, chain: np.ndarray, spread_px2: np.ndarray, least_px: float, most_px: float, least: int) -> tuple:
+def follow_tops(
+    uv: np.ndarray, chain: np.ndarray, spread_px2: np.ndarray, least_px: float, most_px: float, least: int
+) -> tuple:
     """The same for the tops of the smoothed image, without another look at it.
 
     Parameters
@@ -304,7 +306,9 @@ def follow_tops(uv: np.ndarray, chain: np.ndarray, spread_px2: np.ndarray, least
         k = 1 if _steep(uv, starts[c], starts[c + 1]) else 0
         for i in range(starts[c], starts[c + 1]):
             variance = spread_px2[i] * tangent[i, k] * tangent[i, k] - 1.0
-            measured[i] = np.sqrt(min(max(variance, _LEAST_WIDTH_PX * _LEAST_WIDTH_PX), _MOST_WIDTH_PX * _MOST_WIDTH_PX))
+            measured[i] = np.sqrt(
+                min(max(variance, _LEAST_WIDTH_PX * _LEAST_WIDTH_PX), _MOST_WIDTH_PX * _MOST_WIDTH_PX)
+            )
     points, edges, width, normal = _curves(uv.copy(), tangent, measured, good, starts, least, False, True)
     known = True
     for w in width:

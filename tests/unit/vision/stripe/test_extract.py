@@ -350,3 +350,18 @@ def test_salt_noise_is_not_short_pieces():
     points = extract_stripe(np.rint(light.clip(0, 255)).astype(np.uint8))
     assert len(points) > 170
     assert np.abs(points.uv[:, 0] - 60.4).max() < 0.5
+
+
+def test_short_dashes_of_which_no_piece_stays():
+    v, u = np.mgrid[:96, :128]
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        light = rng.normal(6.0, 1.0, u.shape)
+        for _ in range(rng.integers(1, 4)):
+            y, x = rng.integers(8, 88), rng.integers(8, 120)
+            length, angle, height, sigma = rng.integers(3, 8), *rng.uniform((0.0, 3.0, 0.5), (np.pi, 40.0, 2.5))
+            across = (u - x) * np.sin(angle) - (v - y) * np.cos(angle)
+            along = (u - x) * np.cos(angle) + (v - y) * np.sin(angle)
+            light += height * np.exp(-0.5 * (across / sigma) ** 2) * (np.abs(along) < length)
+        points = extract_stripe(np.rint(light.clip(0.0, 255.0)).astype(np.uint8))
+        assert np.isfinite(points.uv).all()
