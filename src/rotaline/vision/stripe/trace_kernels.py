@@ -66,10 +66,10 @@ def begin(uv: np.ndarray, chain: np.ndarray, scale_px: np.ndarray) -> tuple:
 @no_type_check
 def _steep(uv: np.ndarray, start: int, stop: int) -> bool:
     """Whether each point of a chain that was found stands on another row; otherwise each stands on another column."""
+    steep = True
     for i in range(start + 1, stop):
-        if abs(uv[i, 1] - uv[i - 1, 1]) < 1.0:
-            return False
-    return True
+        steep &= abs(uv[i, 1] - uv[i - 1, 1]) >= 1.0
+    return steep
 
 
 @compiled
