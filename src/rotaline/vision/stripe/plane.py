@@ -29,7 +29,7 @@ class Plane:
     @property
     def top(self) -> int:
         """Greatest value of the sensor's range."""
-        return int(np.iinfo(self.source.dtype).max)
+        return int(256**self.source.itemsize - 1)
 
     @property
     def limit(self) -> int:
