@@ -11,7 +11,7 @@ from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _F = np.float32
-_ZERO, _UNIT, _TWO, _FLAT, _PART = _F(0.0), _F(1.0), _F(2.0), _F(16.0), _F(1.0 / 16.0)
+_ZERO, _UNIT, _TWO, _HALF, _SIXTH = _F(0.0), _F(1.0), _F(2.0), _F(0.5), _F(1.0 / 6.0)
 _NEAR, _LEAST_RATE = _F(0.25), _F(0.5)
 _HUGE, _THIN, _NARROW, _NONE = _F(1e30), _F(1e-3), _F(0.1), _F(np.nan)
 _SIDE = 3.0  # the sides begin so many widths from the centre
@@ -24,17 +24,14 @@ _G0, _G1, _G2, _P0, _P1, _P2 = 3 * BLOCK, 4 * BLOCK, 5 * BLOCK, 6 * BLOCK, 7 * B
 _K0, _K1, _K2, _W1, _W2 = 9 * BLOCK, 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK
 _STEP, _VARIANCE, _WINDOW, _MOST, _SLOPE_VARIANCE = 14 * BLOCK, 15 * BLOCK, 16 * BLOCK, 17 * BLOCK, 18 * BLOCK
 _PRODUCT = 19 * BLOCK
-# exp(-t), 0 <= t <= 1, to 1e-6
-_C0, _C1, _C2 = _F(0.9999995544211945), _F(-0.9999678512243936), _F(0.4996208737479462)
-_C3, _C4, _C5 = _F(-0.16501271678028187), _F(0.03833892232810025), _F(-0.0050997276264818465)
 
 
 @compiled
 @no_type_check
 def _bell(t: float) -> float:
-    """exp(-t) for t >= 0, single precision; what is below 1e-7 is about that."""
-    t = min(t, _FLAT) * _PART
-    e = _C0 + t * (_C1 + t * (_C2 + t * (_C3 + t * (_C4 + t * _C5))))
+    """exp(-16 t) for t >= 0, single precision: to 0.3 % where it is above 0.02; what is below 1e-7 is about that."""
+    t = min(t, _UNIT)
+    e = _UNIT - t * (_UNIT - t * (_HALF - t * _SIXTH))
     e = e * e
     e = e * e
     e = e * e
@@ -211,7 +208,7 @@ def _prepare(
         window_px = max(window * width, _LEAST_WINDOW_PX)
         variance, window_variance = width * width, window_px * window_px
         s[_SHIFT + k] = start_px[k]
-        s[_BY_SHAPE + k], s[_BY_WINDOW + k] = 0.5 / variance, 0.5 / window_variance
+        s[_BY_SHAPE + k], s[_BY_WINDOW + k] = 0.03125 / variance, 0.03125 / window_variance
         s[_VARIANCE + k], s[_WINDOW + k], s[_MOST + k] = variance, window_variance, 1.5 * width
         s[_SLOPE_VARIANCE + k] = slope_variance[k]
         product = variance * window_variance / (variance + window_variance)
