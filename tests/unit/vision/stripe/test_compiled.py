@@ -28,6 +28,7 @@ from rotaline.vision.stripe.plane import Plane
 from rotaline.vision.stripe.profiles import sample_profiles
 from rotaline.vision.stripe.row_kernels import whole_lines
 from rotaline.vision.stripe.strip_kernels import BLOCK
+from rotaline.vision.stripe.strip_kernels import BLOCK
 from rotaline.vision.stripe.strips import strips_of
 from rotaline.vision.stripe.trace_kernels import normals
 from rotaline.vision.stripe.uncertainty_kernels import scatter_and_floor
@@ -84,8 +85,8 @@ def test_the_centroid_is_the_fixed_point_of_the_plain_one(sigma_px, window):
     shift, u, measured, height = (np.empty(n) for _ in range(4))
     level = strips.level - np.float32(scene.background)
     weighted_centroids(
-        strips.first, strips.count, strips.distance, level, strips.share, slope, start, width, window, 1e-3, shift, u, measured,
-        height,
+        strips.first, strips.count, strips.distance, level, strips.share, slope, start, width, window, 1e-3,
+        np.ones(n // BLOCK + 1, dtype=bool), shift, u, measured, height,
     )  # fmt: skip
     assert np.abs(shift - expected.shift_px).max() < 2e-2 * np.median(2.0 * expected.u_px)
     np.testing.assert_allclose(u, expected.u_px, rtol=2e-3)
