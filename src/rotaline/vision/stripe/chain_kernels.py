@@ -77,35 +77,65 @@ def starts_of(chain: np.ndarray) -> np.ndarray:
 
 @compiled
 @no_type_check
-def _centred_lines(
-    total: np.ndarray,
-    half_window: int,
-    u0: float,
-    v0: float,
-    smooth: np.ndarray,
-    tangent: np.ndarray,
-    misfit: np.ndarray,
+def _sums(pairs: np.ndarray, total: np.ndarray) -> None:
+    """Sums along a chain, ``pairs`` u, v, u, v, ..., up to each point: of u, v, i u, i v and u u + v v, from its first point."""
+    n, u0, v0 = len(pairs) // 2, pairs[0], pairs[1]
+    u, v, iu, iv, square = total[0, 1:], total[1, 1:], total[2, 1:], total[3, 1:], total[4, 1:]
+    for i in range(n):
+        du, dv = pairs[2 * i] - u0, pairs[2 * i + 1] - v0
+        u[i], v[i], iu[i], iv[i], square[i] = du, dv, du * i, dv * i, du * du + dv * dv
+    total[:, 0] = 0.0
+    s0, s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        s0, s1, s2, s3, s4 = s0 + u[i], s1 + v[i], s2 + iu[i], s3 + iv[i], s4 + square[i]
+        u[i], v[i], iu[i], iv[i], square[i] = s0, s1, s2, s3, s4
+
+
+@compiled
+@no_type_check
+def _line(total: np.ndarray, low: int, count: int) -> tuple:
+    """The line through ``count`` points from ``low`` on, of :func:`_sums`: mean, slope (u and v of both), and mean square misfit."""
+    high = low + count
+    mean_t, var_t = low + 0.5 * (count - 1.0), max(count * (count * count - 1.0) / 12.0, 1e-9)
+    sum_u, sum_v = total[0, high] - total[0, low], total[1, high] - total[1, low]
+    mean_u, mean_v = sum_u / count, sum_v / count
+    slope_u = (total[2, high] - total[2, low] - mean_t * sum_u) / var_t
+    slope_v = (total[3, high] - total[3, low] - mean_t * sum_v) / var_t
+    rest = total[4, high] - total[4, low] - sum_u * mean_u - sum_v * mean_v
+    rest -= var_t * (slope_u * slope_u + slope_v * slope_v)
+    return mean_u, mean_v, slope_u, slope_v, max(rest, 0.0) / max(count - 2.0, 1.0)
+
+
+@compiled
+@no_type_check
+def _whole_windows(
+    u0: float, v0: float, total: np.ndarray, half_window: int, floor: float, smooth: np.ndarray, tangent: np.ndarray
 ) -> None:
-    """Lines through whole windows, from the sums ``total`` (5, n + 1) along a chain: the points whose window does not leave it."""
-    size = 2 * half_window + 1
-    m = len(misfit)
-    count, var_t = float(size), size * (size * size - 1.0) / 12.0
-    per_count, per_var, per_rest = 1.0 / count, 1.0 / var_t, 1.0 / max(count - 2.0, 1.0)
-    low_x, low_y, low_tx, low_ty, low_xx = total[0, :m], total[1, :m], total[2, :m], total[3, :m], total[4, :m]
-    x, y = total[0, size : size + m], total[1, size : size + m]
-    tx, ty, xx = total[2, size : size + m], total[3, size : size + m], total[4, size : size + m]
+    """Lines at the points whose window does not leave the chain; ``smooth`` and ``tangent`` begin with the first of them.
+
+    The windows on one side of a point are those that end at it (b) or begin at it (c).
+    """
+    m, reach = total.shape[1] - 1 - 2 * half_window, 0.5 * half_window
+    side = np.empty((5, m + half_window))
+    u, v, tu, tv, misfit = side[0], side[1], side[2], side[3], side[4]
+    for i in range(m + half_window):
+        u[i], v[i], tu[i], tv[i], misfit[i] = _line(total, i, half_window + 1)
+        misfit[i] = 4.0 * (misfit[i] + floor)
+    after = side[:, half_window:]
+    next_u, next_v, next_tu, next_tv, next_misfit = after[0], after[1], after[2], after[3], after[4]
     for i in range(m):
-        sum_x, sum_y, mean_t = x[i] - low_x[i], y[i] - low_y[i], float(i + half_window)
-        mean_x, mean_y = sum_x * per_count, sum_y * per_count
-        slope_x = (tx[i] - low_tx[i] - mean_t * sum_x) * per_var
-        slope_y = (ty[i] - low_ty[i] - mean_t * sum_y) * per_var
-        square = slope_x * slope_x + slope_y * slope_y
-        rest = xx[i] - low_xx[i] - count * (mean_x * mean_x + mean_y * mean_y) - var_t * square
-        misfit[i] = max(rest, 0.0) * per_rest
+        mean_u, mean_v, slope_u, slope_v, best = _line(total, i, 2 * half_window + 1)
+        # read before the choice, or else the loop cannot be done for many points at once
+        bu, bv, btu, btv = u[i] + reach * tu[i], v[i] + reach * tv[i], tu[i], tv[i]
+        cu, cv, ctu, ctv = next_u[i] - reach * next_tu[i], next_v[i] - reach * next_tv[i], next_tu[i], next_tv[i]
+        b, c = misfit[i] < best + floor, next_misfit[i] < min(best + floor, misfit[i])
+        mean_u, mean_v = cu if c else bu if b else mean_u, cv if c else bv if b else mean_v
+        slope_u, slope_v = ctu if c else btu if b else slope_u, ctv if c else btv if b else slope_v
+        square = slope_u * slope_u + slope_v * slope_v
         some = square > 1e-18
         per_norm = 1.0 / np.sqrt(square if some else 1.0)
-        smooth[i, 0], smooth[i, 1] = u0 + mean_x, v0 + mean_y
-        tangent[i, 0], tangent[i, 1] = slope_x * per_norm if some else 1.0, slope_y * per_norm if some else 0.0
+        smooth[2 * i], smooth[2 * i + 1] = u0 + mean_u, v0 + mean_v
+        tangent[2 * i], tangent[2 * i + 1] = slope_u * per_norm if some else 1.0, slope_v * per_norm if some else 0.0
 
 
 @compiled
@@ -113,40 +143,26 @@ def _centred_lines(
 def local_lines(
     uv: np.ndarray, starts: np.ndarray, half_window: int, noise_px: float, smooth: np.ndarray, tangent: np.ndarray
 ) -> None:
-    """As :func:`rotaline.vision.stripe.plain.curve.local_lines`; a one-sided window is tried only where it could win."""
-    longest = 0
-    for k in range(len(starts) - 1):
-        longest = max(longest, starts[k + 1] - starts[k])
-    total, centred = np.zeros((5, longest + 1)), np.empty(longest)
+    """As :func:`rotaline.vision.stripe.plain.curve.local_lines`."""
     floor = noise_px * noise_px
     for k in range(len(starts) - 1):
         start, stop = starts[k], starts[k + 1]
         n = stop - start
         if n == 0:
             continue
-        u0, v0 = uv[start, 0], uv[start, 1]
-        s0, s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(n):
-            x, y = uv[start + i, 0] - u0, uv[start + i, 1] - v0
-            s0 += x
-            s1 += y
-            s2 += x * i
-            s3 += y * i
-            s4 += x * x + y * y
-            total[0, i + 1], total[1, i + 1], total[2, i + 1], total[3, i + 1], total[4, i + 1] = s0, s1, s2, s3, s4
-        whole = max(n - 2 * half_window, 0)
-        inner = start + half_window
-        _centred_lines(
-            total, half_window, u0, v0, smooth[inner : inner + whole], tangent[inner : inner + whole], centred[:whole]
-        )
-        end = n - 1
+        pairs = uv.reshape(-1)[2 * start : 2 * stop]
+        lines, ahead = smooth.reshape(-1)[2 * start : 2 * stop], tangent.reshape(-1)[2 * start : 2 * stop]
+        total = np.empty((5, n + 1))
+        _sums(pairs, total)
+        u0, v0, end, whole = pairs[0], pairs[1], n - 1, max(n - 2 * half_window, 0)
+        if whole > 0:
+            _whole_windows(u0, v0, total, half_window, floor, lines[2 * half_window :], ahead[2 * half_window :])
         first, last = max(end - half_window, 0), min(half_window, end)
-        for i in range(n):
-            if 0 <= i - half_window < whole and centred[i - half_window] <= 3.0 * floor:
-                continue
+        for j in range(n - whole):
+            i = j if j < half_window else j + whole
             before, after = max(i - half_window, 0), min(i + half_window, end)
             best = np.inf
-            su, sv, tu, tv = uv[start + i, 0], uv[start + i, 1], 0.0, 0.0
+            su, sv, tu, tv = pairs[2 * i], pairs[2 * i + 1], 0.0, 0.0
             for rank in range(3):
                 if rank == 0:
                     low, high = min(before, first), max(after, last)
@@ -156,28 +172,16 @@ def local_lines(
                     low, high = before, max(i, last)
                 else:
                     low, high = min(i, first), after
-                count = high + 1.0 - low
-                mean_t = 0.5 * (low + high)
-                var_t = max(count * (count * count - 1.0) / 12.0, 1e-9)
-                mean_x = (total[0, high + 1] - total[0, low]) / count
-                mean_y = (total[1, high + 1] - total[1, low]) / count
-                slope_x = (total[2, high + 1] - total[2, low] - mean_t * mean_x * count) / var_t
-                slope_y = (total[3, high + 1] - total[3, low] - mean_t * mean_y * count) / var_t
-                rest = total[4, high + 1] - total[4, low] - count * (mean_x * mean_x + mean_y * mean_y)
-                rest -= var_t * (slope_x * slope_x + slope_y * slope_y)
-                misfit = max(rest, 0.0) / max(count - 2.0, 1.0) + floor
-                if rank:
-                    misfit *= 4.0
+                mean_u, mean_v, slope_u, slope_v, misfit = _line(total, low, high + 1 - low)
+                misfit = (misfit + floor) * (4.0 if rank else 1.0)
                 if misfit < best:
-                    best = misfit
-                    su, sv = u0 + mean_x + slope_x * (i - mean_t), v0 + mean_y + slope_y * (i - mean_t)
-                    tu, tv = slope_x, slope_y
+                    best, off = misfit, i - 0.5 * (low + high)
+                    su, sv = u0 + mean_u + slope_u * off, v0 + mean_v + slope_v * off
+                    tu, tv = slope_u, slope_v
             norm = np.sqrt(tu * tu + tv * tv)
-            smooth[start + i, 0], smooth[start + i, 1] = su, sv
-            if norm > 1e-9:
-                tangent[start + i, 0], tangent[start + i, 1] = tu / norm, tv / norm
-            else:
-                tangent[start + i, 0], tangent[start + i, 1] = 1.0, 0.0
+            some = norm > 1e-9
+            lines[2 * i], lines[2 * i + 1] = su, sv
+            ahead[2 * i], ahead[2 * i + 1] = tu / norm if some else 1.0, tv / norm if some else 0.0
 
 
 @compiled
