@@ -188,56 +188,62 @@ def local_lines(
 @no_type_check
 def resample(uv: np.ndarray, starts: np.ndarray, values: np.ndarray) -> tuple:
     """Points one pixel of arc length apart along each chain, from its first point on, and a value carried along."""
-    n_chains = len(starts) - 1
-    size = 0
+    n, n_chains = len(uv), len(starts) - 1
+    pairs = uv.reshape(-1)
+    following, next_value = pairs[2:], values[1:]
+    step, slope_u, slope_v, slope_w = np.empty(n), np.empty(n), np.empty(n), np.empty(n)  # from each point to the next
+    for i in range(n - 1):
+        du, dv = following[2 * i] - pairs[2 * i], following[2 * i + 1] - pairs[2 * i + 1]
+        length = np.sqrt(du * du + dv * dv)
+        some = length > _STEP
+        per_length = 1.0 / (length if some else 1.0)
+        step[i] = length if some else 0.0
+        slope_u[i], slope_v[i], slope_w[i] = du * per_length, dv * per_length, (next_value[i] - values[i]) * per_length
     for k in range(n_chains):
-        length = 0.0
-        for i in range(starts[k] + 1, starts[k + 1]):
-            du, dv = uv[i, 0] - uv[i - 1, 0], uv[i, 1] - uv[i - 1, 1]
-            length += np.sqrt(du * du + dv * dv)
-        size += int(length) + 2
-    out, carried = np.empty((size, 2)), np.empty(size)
-    edges = np.empty(n_chains + 1, np.int64)
+        if starts[k + 1] > starts[k]:
+            step[starts[k + 1] - 1] = 0.0
+    size = int(step.sum()) + 2 * n_chains + 2
+    place, begin, edges = np.empty(n), np.zeros(size, np.int64), np.empty(n_chains + 1, np.int64)
     m = 0
     for k in range(n_chains):
-        edges[k] = m
-        begin, length, at = starts[k], 0.0, 0.0
-        if starts[k + 1] == begin:
-            continue
-        for i in range(begin + 1, starts[k + 1]):
-            du, dv = uv[i, 0] - uv[i - 1, 0], uv[i, 1] - uv[i - 1, 1]
-            step = np.sqrt(du * du + dv * dv)
-            if step <= _STEP:
-                continue
-            while at <= length + step + _STEP:
-                f = min((at - length) / step, 1.0)
-                out[m, 0], out[m, 1] = uv[i - 1, 0] + f * du, uv[i - 1, 1] + f * dv
-                carried[m] = values[i - 1] + f * (values[i] - values[i - 1])
-                m += 1
-                at += 1.0
-            length += step
-        if m == edges[k]:
-            out[m, 0], out[m, 1], carried[m] = uv[begin, 0], uv[begin, 1], values[begin]
-            m += 1
+        edges[k], along = m, float(m)
+        for i in range(starts[k], starts[k + 1]):
+            begin[m] = i  # the point after which the new points stand, until another is passed
+            place[i] = along
+            along += step[i]
+            m = int(along + (1.0 + _STEP))
     edges[n_chains] = m
-    return out[:m], edges, carried[:m]
+    out, carried = np.empty((m, 2)), np.empty(m)
+    moved, i = out.reshape(-1), 0
+    for o in range(m):
+        i = max(i, begin[o])
+        past = min(o - place[i], step[i])
+        moved[2 * o], moved[2 * o + 1] = pairs[2 * i] + past * slope_u[i], pairs[2 * i + 1] + past * slope_v[i]
+        carried[o] = values[i] + past * slope_w[i]
+    return out, edges, carried
 
 
 @compiled
 @no_type_check
 def window_mean(values: np.ndarray, starts: np.ndarray, half_window: int, out: np.ndarray) -> None:
     """Mean over the neighbours of each point in its chain."""
+    size = 2 * half_window + 1
     for k in range(len(starts) - 1):
         start, stop = starts[k], starts[k + 1]
-        total, low, high = 0.0, start, start
-        for i in range(start, stop):
-            while high < min(i + half_window + 1, stop):
-                total += values[high]
+        own, mean = values[start:stop], out[start:stop]
+        n, total, high = stop - start, 0.0, 0
+        for i in range(min(half_window + 1, n)):
+            while high < min(i + half_window + 1, n):
+                total += own[high]
                 high += 1
-            while low < i - half_window:
-                total -= values[low]
-                low += 1
-            out[i] = total / (high - low)
+            mean[i] = total / high
+        inner, entering = mean[half_window + 1 :], own[size:]
+        for i in range(n - size):
+            total += entering[i] - own[i]
+            inner[i] = total / size
+        for i in range(max(n - half_window, half_window + 1), n):
+            total -= own[i - half_window - 1]
+            mean[i] = total / (n + half_window - i)
 
 
 @compiled
