@@ -10,6 +10,7 @@ import numpy as np
 from rotaline.geometry.compiled import compiled
 
 _STEP = 1e-6  # px; points closer together are one
+_FORWARD, _ACROSS, _GAP = 0.3, 1.2, 3.0  # px; least step along a chain; more across it, or more in all, is a jump
 _BLOCK, _AROUND = 8, 12  # points that share a median; points on either side that it is of
 
 
@@ -324,49 +325,75 @@ def alike(width: np.ndarray, starts: np.ndarray, tolerance: float, good: np.ndar
 
 @compiled
 @no_type_check
+def _plain_runs(uv: np.ndarray, tangent: np.ndarray, good: np.ndarray, starts: np.ndarray) -> tuple:
+    """Runs of good points between which all steps go forwards and none is a jump: first point, where it stops, and chain of each."""
+    n, n_chains = len(uv), len(starts) - 1
+    plain = np.empty(n, np.bool_)
+    place, ahead = uv.reshape(-1), tangent.reshape(-1)
+    next_place, next_good, next_plain = place[2:], good[1:], plain[1:]
+    for i in range(n - 1):
+        du, dv = next_place[2 * i] - place[2 * i], next_place[2 * i + 1] - place[2 * i + 1]
+        along, across = du * ahead[2 * i] + dv * ahead[2 * i + 1], abs(du * ahead[2 * i + 1] - dv * ahead[2 * i])
+        next_plain[i] = next_good[i] & (along >= _FORWARD) & (across <= _ACROSS) & (du * du + dv * dv <= _GAP * _GAP)
+    first, stop, chain = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    r = 0
+    for k in range(n_chains):
+        inside = False
+        for i in range(starts[k], starts[k + 1]):
+            if inside and plain[i]:
+                continue
+            if inside:
+                stop[r - 1] = i
+            inside = good[i]
+            if inside:
+                first[r], chain[r] = i, k
+                r += 1
+        if inside:
+            stop[r - 1] = starts[k + 1]
+    return first[:r], stop[:r], chain[:r]
+
+
+@compiled
+@no_type_check
 def break_chains(uv: np.ndarray, tangent: np.ndarray, good: np.ndarray, starts: np.ndarray, min_points: int) -> tuple:
     """As :func:`rotaline.vision.stripe.plain.curve.break_chains`: the points that stay, and where their chains start."""
-    n = len(uv)
-    index, chain = np.empty(n, np.int64), np.empty(n, np.int64)
-    m = 0
-    for k in range(len(starts) - 1):
-        for i in range(starts[k], starts[k + 1]):
-            if good[i]:
-                index[m], chain[m] = i, k
-                m += 1
+    first, stop, chain = _plain_runs(uv, tangent, good, starts)
+    r = len(first)
     for _ in range(3):
-        kept, last, last_chain = 0, -1, -1
-        for j in range(m):
-            i = index[j]
-            back = False
-            if last >= 0 and chain[j] == last_chain:
+        kept, last, last_chain, dropped = 0, -1, -1, False
+        for j in range(r):
+            i, back = first[j], False
+            if chain[j] == last_chain:
                 du, dv = uv[i, 0] - uv[last, 0], uv[i, 1] - uv[last, 1]
                 forward = max(du * tangent[last, 0] + dv * tangent[last, 1], du * tangent[i, 0] + dv * tangent[i, 1])
-                back = forward < 0.3
-            last, last_chain = i, chain[j]
-            if not back:
-                index[kept], chain[kept] = i, chain[j]
-                kept += 1
-        if kept == m:
+                back = forward < _FORWARD
+            dropped |= back
+            last, last_chain = stop[j] - 1, chain[j]
+            first[kept], stop[kept], chain[kept] = i + back, last + 1, last_chain
+            kept += i + back <= last
+        r = kept
+        if not dropped:
             break
-        m = kept
-    edges = np.empty(m + 1, np.int64)
-    pieces, out, begin = 0, 0, 0
-    for j in range(m + 1):
-        jump = j == m
-        if 0 < j < m:
-            a, b = index[j - 1], index[j]
+    index, edges = np.empty(len(uv), np.int64), np.empty(r + 1, np.int64)
+    pieces, out, begin, points = 0, 0, 0, 0
+    for j in range(r + 1):
+        jump = j == r
+        if 0 < j < r:
+            a, b = stop[j - 1] - 1, first[j]
             du, dv = uv[b, 0] - uv[a, 0], uv[b, 1] - uv[a, 1]
             across = min(abs(du * tangent[a, 1] - dv * tangent[a, 0]), abs(du * tangent[b, 1] - dv * tangent[b, 0]))
-            jump = chain[j] != chain[j - 1] or across > 1.2 or du * du + dv * dv > 9.0
+            jump = chain[j] != chain[j - 1] or across > _ACROSS or du * du + dv * dv > _GAP * _GAP
         if jump:
-            if j - begin >= min_points:
+            if points >= min_points:
                 edges[pieces] = out
                 pieces += 1
-                for i in range(begin, j):
-                    index[out] = index[i]
-                    out += 1
-            begin = j
+                for run in range(begin, j):
+                    for i in range(first[run], stop[run]):
+                        index[out] = i
+                        out += 1
+            begin, points = j, 0
+        if j < r:
+            points += stop[j] - first[j]
     edges[pieces] = out
     return index[:out], edges[: pieces + 1]
 
