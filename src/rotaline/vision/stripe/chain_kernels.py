@@ -270,26 +270,35 @@ def window_median(values: np.ndarray, start: int, stop: int, i: int, half_window
 
 @compiled
 @no_type_check
-def _none_deviates(width: np.ndarray, start: int, stop: int, begin: int, end: int, tolerance: float) -> bool:
-    """Whether all widths from ``begin`` to ``end`` are surely within the tolerance of the median about them.
+def _may_deviate(width: np.ndarray, tolerance: float) -> np.ndarray:
+    """The first points of those blocks of a chain in which a width may be beyond the tolerance of the median of those around it.
 
-    They are, if more than half of the widths about them are not below what the greatest may deviate from, and more than half not above what the least may.
+    In the others, more than half of the widths around are not below what the greatest may deviate from, and more than half not above what the least may.
     """
-    middle = (begin + end - 1) // 2
-    if middle - _AROUND < start or middle + _AROUND >= stop:
-        return False
-    least, most, usable = np.inf, 0.0, 0
-    for j in range(np.uint64(begin), np.uint64(end)):
-        w = width[j]
-        usable += w > 0.0
-        least, most = w if w < least else least, w if w > most else most
-    high, low = most / (1.0 + tolerance), least / (1.0 - tolerance)
-    above = below = 0
-    for j in range(2 * _AROUND + 1):
-        w = width[np.uint64(middle - _AROUND + j)]
-        above += w >= high
-        below += w <= low
-    return usable == end - begin and min(above, below) > _AROUND
+    n = len(width)
+    extended = np.empty(n + 2 * _AROUND + _BLOCK)  # the ends are repeated
+    extended[:_AROUND] = width[0]
+    extended[_AROUND : _AROUND + n] = width
+    extended[_AROUND + n :] = width[n - 1]
+    blocks = np.empty((n + _BLOCK - 1) // _BLOCK, np.int64)
+    m = 0
+    for b in range(len(blocks)):
+        begin, end = b * _BLOCK, min((b + 1) * _BLOCK, n)
+        block, around = extended[_AROUND + begin :], extended[(begin + end - 1) // 2 :]
+        least, most, usable = np.inf, 0.0, 0
+        for j in range(_BLOCK):
+            w = block[j]
+            usable += w > 0.0
+            least, most = w if w < least else least, w if w > most else most
+        high, low = most / (1.0 + tolerance), least / (1.0 - tolerance)
+        above = below = 0
+        for j in range(2 * _AROUND + 1):
+            w = around[j]
+            above += w >= high
+            below += w <= low
+        blocks[m] = begin
+        m += usable < _BLOCK or min(above, below) <= _AROUND or n <= _AROUND
+    return blocks[:m]
 
 
 @compiled
@@ -299,15 +308,13 @@ def alike(width: np.ndarray, starts: np.ndarray, tolerance: float, good: np.ndar
 
     As :func:`rotaline.vision.stripe.plain.trace.alike`, with one median for every eight points; none where counting tells that no point deviates.
     """
-    n_all = len(width)
-    scratch, deviation = np.empty(64), np.empty(n_all)
+    scratch, deviation = np.empty(64), np.empty(len(width))
     for c in range(len(starts) - 1):
         start, stop = starts[c], starts[c + 1]
         n, known = stop - start, 0  # the deviations of the points before this one are known, where they are asked for
-        for begin in range(0, n, _BLOCK):
-            end = min(begin + _BLOCK, n)
-            if _none_deviates(width, start, stop, start + begin, start + end, tolerance):
-                continue
+        if n == 0:
+            continue
+        for begin in _may_deviate(width[start:stop], tolerance):
             low, high = max(begin - 3 * _BLOCK, known), min(begin + 4 * _BLOCK, n)
             for first in range(low, high, _BLOCK):
                 last = min(first + _BLOCK, n)
@@ -315,7 +322,7 @@ def alike(width: np.ndarray, starts: np.ndarray, tolerance: float, good: np.ndar
                 for j in range(start + first, start + last):
                     deviation[j] = abs(width[j] - usual) / usual
             known = high
-            for j in range(start + begin, start + end):
+            for j in range(start + begin, start + min(begin + _BLOCK, n)):
                 if deviation[j] > tolerance:
                     if deviation[j] > tolerance + 4.0 * window_median(deviation, start, stop, j, 20, scratch):
                         good[j] = False
