@@ -303,6 +303,23 @@ def _may_deviate(width: np.ndarray, tolerance: float) -> np.ndarray:
 
 @compiled
 @no_type_check
+def _median_is_below(
+    values: np.ndarray, start: int, stop: int, i: int, half_window: int, limit: float, scratch: np.ndarray
+) -> bool:
+    """Whether :func:`window_median` is below a limit: more than half of the values are."""
+    if stop - start <= half_window:
+        return window_median(values, start, stop, i, half_window, scratch) < limit
+    low, high = max(i - half_window, start), min(i + half_window + 1, stop)
+    below = (low - i + half_window) * (values[start] < limit) + (i + half_window + 1 - high) * (
+        values[stop - 1] < limit
+    )
+    for j in range(np.uint64(low), np.uint64(high)):
+        below += values[j] < limit
+    return below > half_window
+
+
+@compiled
+@no_type_check
 def alike(width: np.ndarray, starts: np.ndarray, tolerance: float, good: np.ndarray) -> None:
     """Take ``good`` from points whose profile is not as wide as its neighbours' are.
 
@@ -323,11 +340,9 @@ def alike(width: np.ndarray, starts: np.ndarray, tolerance: float, good: np.ndar
                     deviation[j] = abs(width[j] - usual) / usual
             known = high
             for j in range(start + begin, start + min(begin + _BLOCK, n)):
-                if deviation[j] > tolerance:
-                    if deviation[j] > tolerance + 4.0 * window_median(deviation, start, stop, j, 20, scratch):
-                        good[j] = False
-                elif not deviation[j] <= tolerance:
-                    good[j] = False
+                if not deviation[j] <= tolerance:
+                    most = 0.25 * (deviation[j] - tolerance)
+                    good[j] &= not (np.isnan(most) or _median_is_below(deviation, start, stop, j, 20, most, scratch))
 
 
 @compiled

@@ -14,21 +14,30 @@ _REFERENCE, _MOST = 12, 6  # points that say how a piece goes on; points taken f
 @compiled
 @no_type_check
 def _continues(
-    uv: np.ndarray, width: np.ndarray, at: int, step: int, w: np.ndarray, x: np.ndarray, y: np.ndarray
+    uv: np.ndarray,
+    width: np.ndarray,
+    index: np.ndarray,
+    at: int,
+    step: int,
+    w: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
 ) -> int:
     """Number of points to take from an end: as :func:`rotaline.vision.stripe.plain.ends.sound_ends`."""
-    first, last = at + step * _MOST, at + step * (_MOST + _REFERENCE - 1)
+    first, last = index[at + step * _MOST], index[at + step * (_MOST + _REFERENCE - 1)]
+    u0, v0 = uv[first, 0], uv[first, 1]
     for k in range(_REFERENCE):
-        w[k] = width[first + step * k]
+        w[k] = width[index[at + step * (_MOST + k)]]
     usual = median_of(w, _REFERENCE)
     for k in range(_REFERENCE):
-        w[k] = abs(width[first + step * k] - usual)
+        w[k] = abs(w[k] - usual)
     allowed = 0.06 * usual + 6.0 * median_of(w, _REFERENCE)
-    cu, cv = uv[last, 0] - uv[first, 0], uv[last, 1] - uv[first, 1]
+    cu, cv = uv[last, 0] - u0, uv[last, 1] - v0
     length = max(cu * cu + cv * cv, 1e-18)
     s1 = s2 = s3 = s4 = t0 = t1 = t2 = 0.0
     for k in range(_REFERENCE):
-        du, dv = uv[first + step * k, 0] - uv[first, 0], uv[first + step * k, 1] - uv[first, 1]
+        i = index[at + step * (_MOST + k)]
+        du, dv = uv[i, 0] - u0, uv[i, 1] - v0
         x[k], y[k] = (cu * du + cv * dv) / length, (cu * dv - cv * du) / np.sqrt(length)
         square = x[k] * x[k]
         s1 += x[k]
@@ -54,8 +63,8 @@ def _continues(
     rest = np.sqrt(rest / _REFERENCE)
     taken = 0
     for k in range(_MOST):
-        i = at + step * k
-        du, dv = uv[i, 0] - uv[first, 0], uv[i, 1] - uv[first, 1]
+        i = index[at + step * k]
+        du, dv = uv[i, 0] - u0, uv[i, 1] - v0
         t, place = (cu * du + cv * dv) / length, (cu * dv - cv * du) / np.sqrt(length)
         square = t * t
         lever = a + 2.0 * b * t + (2.0 * c + d) * square + 2.0 * e * t * square + f * square * square
@@ -68,17 +77,24 @@ def _continues(
 
 @compiled
 @no_type_check
-def sound_ends(uv: np.ndarray, starts: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """As :func:`rotaline.vision.stripe.plain.ends.sound_ends`."""
-    keep = np.ones(len(uv), np.bool_)
+def sound_ends(uv: np.ndarray, width: np.ndarray, index: np.ndarray, starts: np.ndarray) -> tuple:
+    """As :func:`rotaline.vision.stripe.plain.ends.sound_ends`, of the points ``index``: where in it the sound part of each chain begins and ends."""
     w, x, y = np.empty(_REFERENCE), np.empty(_REFERENCE), np.empty(_REFERENCE)
-    for c in range(len(starts) - 1):
+    begin, end = starts[:-1].copy(), starts[1:].copy()
+    for c in range(len(begin)):
         start, stop = starts[c], starts[c + 1]
-        if stop - start < _MOST + _REFERENCE:
-            continue
-        keep[start : start + _continues(uv, width, start, 1, w, x, y)] = False
-        keep[stop - _continues(uv, width, stop - 1, -1, w, x, y) : stop] = False
-    return keep
+        if stop - start >= _MOST + _REFERENCE:
+            begin[c] += _continues(uv, width, index, start, 1, w, x, y)
+            end[c] -= _continues(uv, width, index, stop - 1, -1, w, x, y)
+    return begin, end
+
+
+@compiled
+@no_type_check
+def _copy(values: np.ndarray, out: np.ndarray) -> None:
+    """Copy values to where ``out`` begins."""
+    for i in range(len(values)):
+        out[i] = values[i]
 
 
 @compiled
@@ -115,52 +131,60 @@ def sound_points(
     than the least length, so that none needs another look
     """
     n = len(uv)
-    good = np.empty(n, np.bool_)
-    moved, tangent, u = np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
+    wide, u, good = np.empty(n), np.empty(n), np.empty(n, np.bool_)
+    place, direction, across = uv.reshape(-1), along.reshape(-1), normal.reshape(-1)
     for i in range(n):
-        cosine = abs(along[i, 0] * normal[i, 0] + along[i, 1] * normal[i, 1])
+        cosine = abs(direction[2 * i] * across[2 * i] + direction[2 * i + 1] * across[2 * i + 1])
         u[i] = np.sqrt((u_px[i] * noise[i]) ** 2 + floor * floor + u_edge[i] ** 2) * cosine
-        reach_u, reach_v = abs(along[i, 0]) * 2.0 * traced_px[i], abs(along[i, 1]) * 2.0 * traced_px[i]
-        good[i] = (
-            (abs(shift[i]) <= width[i] + 1.0)
-            & (u[i] < 1.0)
-            & (height[i] > max(2.5 * noise[i], least_height))
-            & (min(uv[i, 0] - reach_u, uv[i, 1] - reach_v) >= 0.0)
-            & (uv[i, 0] + reach_u <= size[0] - 1.0)
-            & (uv[i, 1] + reach_v <= size[1] - 1.0)
+        wide[i] = width[i] * cosine
+        good[i] = (abs(shift[i]) <= width[i] + 1.0) & (u[i] < 1.0) & (height[i] > max(2.5 * noise[i], least_height))
+    for i in range(n):
+        reach_u, reach_v = abs(direction[2 * i]) * 2.0 * traced_px[i], abs(direction[2 * i + 1]) * 2.0 * traced_px[i]
+        good[i] &= (
+            (min(place[2 * i] - reach_u, place[2 * i + 1] - reach_v) >= 0.0)
+            & (place[2 * i] + reach_u <= size[0] - 1.0)
+            & (place[2 * i + 1] + reach_v <= size[1] - 1.0)
         )
     alike(width, starts, 0.2, good)
+    points, ahead = np.empty((n, 2)), np.empty((n, 2))
+    moved, tangent = points.reshape(-1), ahead.reshape(-1)
     for i in range(n):
         s = shift[i] if good[i] else 0.0
-        moved[i, 0], moved[i, 1] = uv[i, 0] + s * along[i, 0], uv[i, 1] + s * along[i, 1]
-        tangent[i, 0], tangent[i, 1] = normal[i, 1], -normal[i, 0]
-    index, edges = break_chains(moved, tangent, good, starts, least)
-    keep = sound_ends(moved[index], edges, width[index])
+        moved[2 * i] = place[2 * i] + s * direction[2 * i]
+        moved[2 * i + 1] = place[2 * i + 1] + s * direction[2 * i + 1]
+        tangent[2 * i], tangent[2 * i + 1] = across[2 * i + 1], -across[2 * i]
+    index, edges = break_chains(points, ahead, good, starts, least)
+    begin, end = sound_ends(points, width, index, edges)
     most = len(index)
-    wide, high, stated, top = np.empty(most), np.empty(most), np.empty(most), np.empty(most, np.bool_)
-    segment, out, across = np.empty(most, np.int64), np.empty((most, 2)), np.empty((most, 2))
+    out, values = np.empty((2, 2 * most)), np.empty((3, most))
+    top, segment = np.empty(most, np.bool_), np.empty(most, np.int64)
     m = pieces = 0
     plain = True
-    for c in range(len(edges) - 1):
-        begin, end = edges[c], edges[c + 1]
-        while begin < end and not keep[begin]:
-            begin += 1
-        while begin < end and not keep[end - 1]:
-            end -= 1
-        if end - begin < least:
+    for c in range(len(begin)):
+        count = end[c] - begin[c]
+        if count < least:
             continue
-        first, highest, widest = m, 0.0, 0.0
-        for j in range(begin, end):
-            i = index[j]
-            cosine = abs(along[i, 0] * normal[i, 0] + along[i, 1] * normal[i, 1])
-            out[m, 0], out[m, 1], across[m, 0], across[m, 1] = moved[i, 0], moved[i, 1], normal[i, 0], normal[i, 1]
-            wide[m], high[m], stated[m], top[m] = width[i] * cosine, height[i], u[i], saturated[i]
-            segment[m] = pieces
-            highest, widest = max(highest, high[m]), max(widest, wide[m])
-            m += 1
+        first, j = m, begin[c]
+        while j < end[c]:
+            i, run = index[j], 1
+            while j + run < end[c] and index[j + run] == i + run:
+                run += 1
+            _copy(moved[2 * i : 2 * (i + run)], out[0, 2 * m :])
+            _copy(across[2 * i : 2 * (i + run)], out[1, 2 * m :])
+            _copy(wide[i : i + run], values[0, m:])
+            _copy(height[i : i + run], values[1, m:])
+            _copy(u[i : i + run], values[2, m:])
+            _copy(saturated[i : i + run], top[m:])
+            m, j = m + run, j + run
+        segment[first:m] = pieces
+        widths, heights = values[0, first:m], values[1, first:m]
+        widest = highest = 0.0
+        for k in range(count):
+            widest, highest = max(widest, widths[k]), max(highest, heights[k])
         core = 0
-        for j in range(first, m):
-            core += high[j] > LEAST_PART * highest
-        plain &= m - first >= min_length and m - first >= _MOST + _REFERENCE and core >= SLENDER * widest
+        for k in range(count):
+            core += heights[k] > LEAST_PART * highest
+        plain &= count >= min_length and count >= _MOST + _REFERENCE and core >= SLENDER * widest
         pieces += 1
-    return out[:m], across[:m], wide[:m], high[:m], stated[:m], top[:m], segment[:m], plain
+    points_out, normal_out = out[0, : 2 * m].reshape((m, 2)), out[1, : 2 * m].reshape((m, 2))
+    return points_out, normal_out, values[0, :m], values[1, :m], values[2, :m], top[:m], segment[:m], plain

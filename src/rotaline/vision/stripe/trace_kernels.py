@@ -176,14 +176,12 @@ def half_maximum(
 @no_type_check
 def _straighten(uv: np.ndarray, index: np.ndarray, edges: np.ndarray, width_px: np.ndarray) -> None:
     """Let ends beside the end of a chain of the same direction go straight on, where they do not yet: at a jump centroids are drawn to the other side."""
-    keep = sound_ends(uv[index], edges, width_px[index])
+    begin, stop = sound_ends(uv, width_px, index, edges)
     for c in range(len(edges) - 1):
         for end in range(2):
             sign = 1 if end else -1
             at = edges[c + 1] - 1 if end else edges[c]
-            taken = 0
-            while taken < edges[c + 1] - edges[c] and not keep[at - sign * taken]:
-                taken += 1
+            taken = edges[c + 1] - stop[c] if end else begin[c] - edges[c]
             beside = False
             for other in range(2 * (len(edges) - 1) if taken else 0):
                 a, b = edges[other // 2], edges[other // 2 + 1] - 1

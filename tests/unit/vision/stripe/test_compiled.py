@@ -217,9 +217,14 @@ def test_chains_are_worked_on_alike():
     broken, kept = plain_curve.break_chains(chains, tangent, good, 6)
     np.testing.assert_array_equal(index, np.flatnonzero(kept))
     assert list(zip(pieces[:-1].tolist(), pieces[1:].tolist(), strict=True)) == broken.spans()
-    width = 2.0 + 0.02 * np.random.default_rng(4).normal(size=len(index))
-    width[:3] = 1.2
-    np.testing.assert_array_equal(sound_ends(broken.uv, pieces, width), plain_ends.sound_ends(broken, width))
+    width = 2.0 + 0.02 * np.random.default_rng(4).normal(size=245)
+    width[index[:3]] = 1.2
+    begin, end = sound_ends(chains.uv, width, index, pieces)
+    sound = plain_ends.sound_ends(broken, width[index])
+    assert not sound.all()
+    np.testing.assert_array_equal(
+        np.concatenate([np.arange(*ends) for ends in zip(begin, end, strict=True)]), np.flatnonzero(sound)
+    )
     out = np.empty(245)
     chain_kernels.window_mean(chains.uv[:, 0].copy(), starts, 10, out)
     np.testing.assert_allclose(out, chains.window_mean(chains.uv[:, 0], 10), atol=1e-9)
