@@ -117,20 +117,14 @@ def _whole_windows(
     The windows on one side of a point are those that end at it (b) or begin at it (c).
     """
     m, reach = total.shape[1] - 1 - 2 * half_window, 0.5 * half_window
-    side = np.empty((5, m + half_window))
-    u, v, tu, tv, misfit = side[0], side[1], side[2], side[3], side[4]
-    for i in range(m + half_window):
-        u[i], v[i], tu[i], tv[i], misfit[i] = _line(total, i, half_window + 1)
-        misfit[i] = 4.0 * (misfit[i] + floor)
-    after = side[:, half_window:]
-    next_u, next_v, next_tu, next_tv, next_misfit = after[0], after[1], after[2], after[3], after[4]
     for i in range(m):
-        mean_u, mean_v, slope_u, slope_v, best = _line(total, i, 2 * half_window + 1)
-        # read before the choice, or else the loop cannot be done for many points at once
-        bu, bv, btu, btv = u[i] + reach * tu[i], v[i] + reach * tv[i], tu[i], tv[i]
-        cu, cv, ctu, ctv = next_u[i] - reach * next_tu[i], next_v[i] - reach * next_tv[i], next_tu[i], next_tv[i]
-        b, c = misfit[i] < best + floor, next_misfit[i] < min(best + floor, misfit[i])
-        mean_u, mean_v = cu if c else bu if b else mean_u, cv if c else bv if b else mean_v
+        mean_u, mean_v, slope_u, slope_v, misfit = _line(total, i, 2 * half_window + 1)
+        bu, bv, btu, btv, before = _line(total, i, half_window + 1)
+        cu, cv, ctu, ctv, after = _line(total, i + half_window, half_window + 1)
+        best, before, after = misfit + floor, 4.0 * (before + floor), 4.0 * (after + floor)
+        b, c = before < best, after < min(best, before)
+        mean_u = cu - reach * ctu if c else bu + reach * btu if b else mean_u
+        mean_v = cv - reach * ctv if c else bv + reach * btv if b else mean_v
         slope_u, slope_v = ctu if c else btu if b else slope_u, ctv if c else btv if b else slope_v
         square = slope_u * slope_u + slope_v * slope_v
         some = square > 1e-18
