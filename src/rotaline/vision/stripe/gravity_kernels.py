@@ -22,7 +22,7 @@ _CORE = 1.5  # widths: a clipped pixel as near makes the point saturated
 def line_normals(uv: np.ndarray, starts: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Normals of pieces with a point on every row, or on every column, (n, 2).
 
-    As :func:`rotaline.vision.stripe.chain_kernels.local_lines` settles them, to which the rows are no news.
+    As :func:`rotaline.vision.stripe.direction_kernels.local_lines` settles them, to which the rows are no news.
     """
     normal, total = np.empty_like(uv), np.zeros((len(uv) + 1, 3))
     floor = _FINE_PX * _FINE_PX

@@ -10,12 +10,12 @@ from rotaline.vision.stripe.chain_kernels import (
     alike,
     break_chains,
     join_chains,
-    local_lines,
     resample,
     starts_of,
     window_mean,
     window_median,
 )
+from rotaline.vision.stripe.direction_kernels import local_lines
 from rotaline.vision.stripe.judge_kernels import sound_ends
 from rotaline.vision.stripe.strip_kernels import BLOCK
 

@@ -10,6 +10,7 @@ from rotaline.vision.stripe import chain_kernels
 from rotaline.vision.stripe.background import fit_steps
 from rotaline.vision.stripe.centre_kernels import subtract_sides, weighted_centroids
 from rotaline.vision.stripe.curve import Chains
+from rotaline.vision.stripe.direction_kernels import local_lines
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
 from rotaline.vision.stripe.gravity_kernels import line_normals
@@ -204,7 +205,7 @@ def test_chains_are_worked_on_alike():
     starts = chain_kernels.starts_of(chains.chain)
     np.testing.assert_array_equal(starts, [0, 80, 160, 240, 245])
     smooth, tangent = np.empty_like(chains.uv), np.empty_like(chains.uv)
-    chain_kernels.local_lines(chains.uv, starts, 6, 0.05, smooth, tangent)
+    local_lines(chains.uv, starts, 6, 0.05, smooth, tangent)
     expected = plain_curve.local_lines(chains, 6)
     np.testing.assert_allclose(smooth, expected[0], atol=1e-6)
     np.testing.assert_allclose(tangent, expected[1], atol=1e-6)
