@@ -80,7 +80,7 @@ def _differences(
     """
     n_chains, longest = len(starts) - 1, 0
     for h in half:
-        longest = max(longest, 2 * h + 1)
+        longest = max(longest, 2 * h)
     out, ends = np.empty(n_chains * _PAIRS * longest, np.float32), np.zeros(n_chains + 1, np.int64)
     m = 0
     for c in range(n_chains):
@@ -99,7 +99,7 @@ def _differences(
             gain = 1.0 / np.sqrt(2.0 - 2.0 * g * (1.0 - g))
             side = _NOISE_FROM * width[i]
             inner, outer = int(np.ceil(centre - side)), int(np.floor(centre + side)) + 1
-            begin, end = max(-h, -half[j // BLOCK] - whole), min(h, half[j // BLOCK] - 1 - whole) + 1
+            begin, end = max(-h, -half[j // BLOCK] - whole), min(h, half[j // BLOCK] - 1 - whole)
             for beyond in range(2):
                 low, high = (max(begin, outer), end) if beyond else (begin, min(inner, end))
                 for t in range(low, high):
@@ -173,7 +173,7 @@ def centres_on_lines(
     if any_hits:
         for i in range(n):
             at, h, core = middle[i // BLOCK] + i % BLOCK, half[i // BLOCK], _CORE * width[i]
-            for t in range(-h, h + 1 if hits[i] > 0 else -h):
+            for t in range(-h, h if hits[i] > 0 else -h):
                 clipped = np.isnan(ground[at + t * BLOCK]) and not np.isnan(level[at + t * BLOCK])
                 saturated[i] |= clipped and abs(t + off[i] - shift[i]) <= core
     centre, u, wide_px, high = flat_centroids(middle, half, off, level, ground, total, width, shift)
