@@ -24,41 +24,62 @@ def line_normals(uv: np.ndarray, starts: np.ndarray, along: np.ndarray) -> np.nd
 
     As :func:`rotaline.vision.stripe.direction_kernels.local_lines` settles them, to which the rows are no news.
     """
-    normal, total = np.empty_like(uv), np.zeros((len(uv) + 1, 3))
+    n = len(uv)
+    normal, total = np.empty_like(uv), (np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1))
+    slope, scale, side_misfit, side_slope = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     floor = _FINE_PX * _FINE_PX
     for c in range(len(starts) - 1):
-        start, end = starts[c], starts[c + 1] - 1 - starts[c]
+        start, m = starts[c], starts[c + 1] - starts[c]
         k = 0 if along[start, 0] != 0.0 else 1
-        sense = uv[start + 1, 1 - k] - uv[start, 1 - k]
         s0, s1, s2 = 0.0, 0.0, 0.0
-        for i in range(end + 1):
+        for i in range(m):
             y = uv[start + i, k] - uv[start, k]
             s0, s1, s2 = s0 + y, s1 + y * i, s2 + y * y
-            total[i + 1, 0], total[i + 1, 1], total[i + 1, 2] = s0, s1, s2
-        for i in range(end + 1):
-            before, after = max(i - _WINDOW, 0), min(i + _WINDOW, end)
-            low, high = min(before, max(end - _WINDOW, 0)), max(after, min(_WINDOW, end))
-            misfit, slope = _line(total, low, high)
-            if misfit > 3.0 * floor:  # or else a one-sided window cannot be better
-                for side in range(2):
-                    low, high = (min(i, max(end - _WINDOW, 0)), after) if side else (before, max(i, min(_WINDOW, end)))
-                    other, other_slope = _line(total, low, high)
-                    if 4.0 * (other + floor) < misfit + floor:
-                        misfit, slope = 4.0 * (other + floor) - floor, other_slope
-            norm = np.sqrt(1.0 + slope * slope) * (1.0 if k else -1.0)
-            normal[start + i, k], normal[start + i, 1 - k] = sense / norm, -slope / norm
+            total[0][i + 1], total[1][i + 1], total[2][i + 1] = s0, s1, s2
+        for i in range(m - _WINDOW):  # one-sided windows by their first points
+            side_misfit[i], side_slope[i] = _line(total, i, _WINDOW + 1)
+        for i in range(_WINDOW, m - _WINDOW):
+            misfit, own = _line(total, i - _WINDOW, 2 * _WINDOW + 1)
+            before, after = np.uint64(i - _WINDOW), np.uint64(i)
+            other = min(side_misfit[before], side_misfit[after])
+            other_slope = side_slope[before] if side_misfit[before] <= side_misfit[after] else side_slope[after]
+            slope[after] = other_slope if 4.0 * (other + floor) < misfit + floor else own
+        for i in range(m):
+            if i < _WINDOW or i >= m - _WINDOW:
+                slope[i] = _slope_at_end(total, i, m, floor)
+        sense = uv[start + 1, 1 - k] - uv[start, 1 - k]
+        for i in range(m):
+            scale[i] = (1.0 if k else -1.0) / np.sqrt(1.0 + slope[i] * slope[i])
+        for i in range(m):
+            normal[start + i, k], normal[start + i, 1 - k] = sense * scale[i], -slope[i] * scale[i]
     return normal
 
 
 @compiled
 @no_type_check
-def _line(total: np.ndarray, low: int, high: int) -> tuple:
-    """Mean square misfit and slope of the line through the points ``low`` to ``high``, from sums of y, i y and y y."""
-    count, mean_i = high + 1.0 - low, 0.5 * (low + high)
+def _slope_at_end(total: tuple, i: int, m: int, floor: float) -> float:
+    """Slope at point ``i`` of ``m``, where there is no room for whole windows."""
+    before, after = max(i - _WINDOW, 0), min(i + _WINDOW, m - 1)
+    least, most = min(i, max(m - 1 - _WINDOW, 0)), max(i, min(_WINDOW, m - 1))  # where one-sided windows begin and end
+    low = min(before, least)
+    misfit, slope = _line(total, low, max(after, most) + 1 - low)
+    for low, high in ((before, most), (least, after)):
+        other, other_slope = _line(total, low, high + 1 - low)
+        if 4.0 * (other + floor) < misfit + floor:
+            misfit, slope = 4.0 * (other + floor) - floor, other_slope
+    return slope
+
+
+@compiled
+@no_type_check
+def _line(total: tuple, low: int, count: int) -> tuple:
+    """Mean square misfit and slope of the line through ``count`` points from ``low`` on, from sums of y, i y and y y."""
+    first, behind, mean_i = np.uint64(low), np.uint64(low + count), low + 0.5 * (count - 1)
     variance = max(count * (count * count - 1.0) / 12.0, 1e-9)
-    mean = (total[high + 1, 0] - total[low, 0]) / count
-    slope = (total[high + 1, 1] - total[low, 1] - mean_i * mean * count) / variance
-    rest = total[high + 1, 2] - total[low, 2] - count * mean * mean - variance * slope * slope
+    y, iy, yy = total
+    mean = (y[behind] - y[first]) / count
+    slope = (iy[behind] - iy[first] - mean_i * mean * count) / variance
+    rest = yy[behind] - yy[first] - count * mean * mean - variance * slope * slope
     return max(rest, 0.0) / max(count - 2.0, 1.0), slope
 
 
