@@ -169,7 +169,7 @@ def centres_on_lines(
     saturated : (n,) bool
     """
     n = len(uv)
-    rough, rough_width, total = rough_centres(middle, half, off, level, ground, width_px)
+    rough, rough_width, line = rough_centres(middle, half, off, level, ground, width_px)
     shift, measured, width, good = np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.bool_)
     moved = np.empty((n, 2))
     any_hits = False
@@ -197,7 +197,7 @@ def centres_on_lines(
             for t in range(-h, h if hits[i] > 0 else -h):
                 clipped = np.isnan(ground[at + t * BLOCK]) and not np.isnan(level[at + t * BLOCK])
                 saturated[i] |= clipped and abs(t + off[i] - shift[i]) <= core
-    centre, u, wide_px, high = flat_centroids(middle, half, off, level, ground, total, width, shift)
+    centre, u, wide_px, high = flat_centroids(middle, half, off, level, ground, line, width, shift)
     for i in range(n):
         if not good[i]:
             centre[i] = np.nan

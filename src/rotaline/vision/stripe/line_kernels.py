@@ -20,10 +20,9 @@ _NARROW, _ROOT_2PI = _F(0.1), _F(np.sqrt(2.0 * np.pi))
 _HUGE, _THIN, _NONE = _F(1e30), _F(1e-3), _F(np.nan)
 _SIDE = 3.0  # widths: the background begins, the window ends
 _REACH, _REACH_PX = 3.5, 4.0  # widths and px to both sides
-_PASSES, _MOST_STEPS = 3, 8
+_MOST_STEPS = 3
 _SHORT_PX = _F(0.3)  # a step is the last when it is shorter: good enough to know the width
-_STILL_PX = _F(0.003)  # the same for the centroid itself
-_WIDTH, _CENTRE, _LIMIT, _LEVEL, _SLOPE, _STEP = (k * BLOCK for k in range(6))
+_WIDTH, _CENTRE, _LIMIT, _STEP, _LEVEL, _SLOPE = (k * BLOCK for k in range(6))
 _N, _X, _XX, _Q, _XQ = (k * BLOCK for k in range(6, 11))  # of all pixels of a strip
 _S0, _S1, _S2, _S3, _S4, _S5 = (k * BLOCK for k in range(11, 17))
 _SIZE = 17 * BLOCK
@@ -154,12 +153,19 @@ def _add_window(s: np.ndarray, level: np.ndarray, at: int, t: float) -> None:
 
 @compiled
 @no_type_check
-def _background(s: np.ndarray, ground: np.ndarray, at: int, h: int) -> int:
-    """A line through what lies outside of the windows of a block; how many pixels to either side these reach."""
+def _inner(s: np.ndarray, h: int) -> int:
+    """How many of the ``h`` pixels on either side of the points the windows of a block reach."""
     reach = np.int32(0)
     for k in range(BLOCK):
         reach = max(reach, np.int32(abs(s[_CENTRE + k]) + s[_LIMIT + k]))
-    inner = min(int(reach) + 1, h)
+    return min(int(reach) + 1, h)
+
+
+@compiled
+@no_type_check
+def _background(s: np.ndarray, ground: np.ndarray, at: int, h: int) -> None:
+    """A line through what lies outside of the windows of a block."""
+    inner = _inner(s, h)
     s[_S0:] = _ZERO
     for t in range(-inner, inner, 2):
         _add_window(s, ground, np.uint64(at + t * BLOCK), _F(t))
@@ -170,7 +176,6 @@ def _background(s: np.ndarray, ground: np.ndarray, at: int, h: int) -> int:
         slope = (s[_XQ + k] - s[_S4 + k] - mean * q) / max(spread, _HALF)
         slope = slope if abs(mean - s[_CENTRE + k]) < s[_LIMIT + k] else _ZERO  # one side alone tells no slope
         s[_LEVEL + k], s[_SLOPE + k] = light - slope * mean, slope
-    return inner
 
 
 @compiled
@@ -214,10 +219,10 @@ def rough_centres(
     Returns
     -------
     shift, measured width : (blocks * BLOCK,)   shifts are NaN where nothing stands above the background
-    total : (blocks, 5 * BLOCK)   sums for a line through all pixels
+    line : (blocks, 7 * BLOCK)   level and slope of the background, and sums for a line through all pixels
     """
     n, blocks = len(width_px), len(middle)
-    out, total = np.empty((2, blocks * BLOCK), _F), np.empty((blocks, 5 * BLOCK), _F)
+    out, line = np.empty((2, blocks * BLOCK), _F), np.empty((blocks, 7 * BLOCK), _F)
     s = np.zeros(_SIZE, _F)
     for b in range(blocks):
         at, h, first = middle[b], half[b], b * BLOCK
@@ -230,8 +235,8 @@ def rough_centres(
         s[_N:_S0] = _ZERO
         for t in range(-h, h, 2):
             _add_all(s, ground, np.uint64(at + t * BLOCK), _F(t))
-        total[b] = s[_N:_S0]
         _background(s, ground, at, h)
+        line[b] = s[_LEVEL:_S0]
         for k in range(BLOCK):
             s[_LIMIT + k] = _F(0.03125) / (s[_WIDTH + k] * s[_WIDTH + k])
         reach = min(int(widest) + 1, h)
@@ -258,7 +263,7 @@ def rough_centres(
             wide = moment * variance / max(variance - moment, _THIN * variance)
             out[0, first + k] = s[_CENTRE + k] + off[first + k] if (p0 > _ZERO) & (high > _ZERO) else _NONE
             out[1, first + k] = min(np.sqrt(max(wide, _NARROW)), _TWO * _MOST_STEP * s[_WIDTH + k])
-    return out[0], out[1], total
+    return out[0], out[1], line
 
 
 @compiled
@@ -292,7 +297,7 @@ def flat_centroids(
     off: np.ndarray,
     level: np.ndarray,
     ground: np.ndarray,
-    total: np.ndarray,
+    line: np.ndarray,
     width_px: np.ndarray,
     start_px: np.ndarray,
 ) -> tuple:
@@ -311,20 +316,18 @@ def flat_centroids(
         at, h, first = middle[b], half[b], b * BLOCK
         for k in range(min(BLOCK, n - first)):
             s[_CENTRE + k], s[_LIMIT + k] = start_px[first + k] - off[first + k], _SIDE * width_px[first + k]
-        s[_N:_S0] = total[b]
-        for _ in range(_PASSES):
-            inner = _background(s, ground, at, h)
+        s[_LEVEL:_S0] = line[b]
+        for again in range(2):
+            if again:
+                _background(s, ground, at, h)
+            inner = _inner(s, h)
             s[_S0:] = _ZERO
             for t in range(-inner, inner, 2):
                 _add_light(s, level, np.uint64(at + t * BLOCK), _F(t))
-            far = 0
             for k in range(BLOCK):
                 step = s[_S4 + k] / s[_S3 + k] if s[_S3 + k] > _ZERO else _ZERO
                 s[_STEP + k] = step
                 s[_CENTRE + k] += step
-                far += abs(step) >= _STILL_PX
-            if far == 0:
-                break
         for k in range(BLOCK):
             mass, step = s[_S3 + k], s[_STEP + k]
             near = s[_S2 + k] - _TWO * step * s[_S1 + k] + step * step * s[_S0 + k]
