@@ -1,10 +1,10 @@
 """Strips of pixels along rows and columns, and the centroid of the light in them, in compiled loops. See :mod:`rotaline.vision.stripe.plain.rows`.
 
 Points stand on whole rows or columns, and a strip is a run of pixels of one of these. ``BLOCK`` points stand side by side, so that sums over strips are
-made for many points at once, in full vectors, and for two pixels of each at once; all strips of a block are as long, ``half`` pixels before the point and as
-many behind it. Pixel ``t`` from the first one behind point k of a block stands ``BLOCK * t + k`` behind the block's middle in ``level``, and is
-``t + off[k]`` px from the point. Where the image ends the level is NaN; in ``ground`` it is
-also NaN where a pixel is clipped, as that says nothing about the background.
+made for many points at once, in full vectors, and for two pixels of each. All strips of a block are as long: ``half`` pixels before the point and as many
+behind it. Pixel ``t``, counted from the first one behind point k of a block, stands ``BLOCK * t + k`` behind the block's middle in ``level``, and is
+``t + off[k]`` px from the point. Where the image ends the level is NaN; in ``ground`` it is also NaN where a pixel is clipped, as that says nothing about
+the background.
 """
 
 from typing import no_type_check
