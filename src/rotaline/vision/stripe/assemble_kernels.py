@@ -21,70 +21,71 @@ def assemble(
     n_flat: int,
     h: int,
     w: int,
-    tiles: np.ndarray,
+    height: np.ndarray,
     order: np.ndarray,
     light: np.ndarray,
     where: np.ndarray,
     what: np.ndarray,
+    points: np.ndarray,
+    heights: np.ndarray,
+    chains: np.ndarray,
+    parts: np.ndarray,
     min_length_px: float,
     least: float,
-    taken: np.ndarray,
-    mark: int,
-    finest: np.ndarray,
 ) -> tuple:
     """Link candidates to chains and let these compete.
 
     Parameters
     ----------
-    n_tiles, n_steep, n_flat, tiles, order, light, where, what
+    n_tiles, n_steep, n_flat, height, order, light, where, what
         Of an image of h x w, as they come from :func:`rotaline.vision.stripe.find_kernels.candidates`; ``light`` loses what the chains explain,
         and ``order`` its first part.
+    points : (3, k)   int32; becomes line and place of the points, in order along each chain, and the candidates that they were; the line is the row
+        of steep chains, the column of flat ones
+    heights : (4, k)   float32; becomes their prominence, how high they are above what is dark around, what is to be added to the place to get to
+        the top, and the variance of the smoothed profile there, along the line, px^2
+    chains : (3, m)   int32; becomes where each chain begins (and one more ends), its kind (1 for steep), and 1 as its size
+    parts : (3, m)   int32; becomes the parts of chains that no stronger one covers: where they begin and end, and the chains they are of
     min_length_px : float   a chain as long is no speck
     least : float   prominence of a candidate
-    taken : (h, w)   uint8, nowhere ``mark``, which is set here
-    finest : (h, w)   float32, zeros; zeros again afterwards
 
     Returns
     -------
-    line, place, prominence, between, spread : (n,)   of the points, in order along each chain, see :class:`rotaline.vision.stripe.find.Chains`
-    start : (k + 1,)   where each chain begins
-    steep, factor : (k,)   the kind of each chain, and 1
-    begin, end, chain : (m,)   the parts of chains that no stronger one covers
-    chosen : tuple   what :func:`rotaline.vision.stripe.settle_kernels.choose` makes of them
+    n_chains, n_parts : int
     n_left : int   tiles with light that no chain explains, in the first parts of ``order`` and ``light``; -1 if a chain is too wide for its size
+    chosen : tuple   what :func:`rotaline.vision.stripe.settle_kernels.choose` makes of them
     """
-    rows, columns = tiles.shape[1], tiles.shape[2]
-    n = n_steep + n_flat
-    line, place = np.empty(n, np.int32), np.empty(n, np.int32)
-    prominence, above = np.empty(n, np.float32), np.empty(n, np.float32)
-    between, spread, origin = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.int32)
-    start = np.zeros(n // 4 + 2, np.int32)
+    rows, columns = height.shape
+    line, place, prominence, above = points[0], points[1], heights[0], heights[1]
+    start, steep, factor = chains[0], chains[1], chains[2]
+    start[0] = 0
     n_chains, of_steep = 0, 0
     for kind in range(2):
         of_steep = n_chains
         number, lines = (n_flat, w) if kind else (n_steep, h)
         n_chains = link(
             where[2 * kind], where[2 * kind + 1], what[4 * kind], what[4 * kind + 1], number, lines, line, place,
-            prominence, above, origin, start, n_chains
+            prominence, above, points[2], start, n_chains
         )  # fmt: skip
-        _tops(what[4 * kind + 2], what[4 * kind + 3], above, origin, start[of_steep], start[n_chains], between, spread)
-    n = start[n_chains]
-    line, place, prominence, start = line[:n], place[:n], prominence[:n], start[: n_chains + 1]
-    between, spread = between[:n], spread[:n]
-    steep, factor = np.zeros(n_chains, np.bool_), np.ones(n_chains, np.int32)
-    for k in range(of_steep):
-        steep[k] = True
-    begin, end, chain = compete(line, place, prominence, start, steep, factor, taken, mark, finest)
+        begin, end = start[of_steep], start[n_chains]
+        _tops(what[4 * kind + 2], what[4 * kind + 3], above, points[2], begin, end, heights[2], heights[3])
+    for k in range(n_chains):
+        steep[k], factor[k] = k < of_steep, 1
+    n_parts = compete(
+        line, place, prominence, start, steep, factor, n_chains, h, w, parts, np.empty((0, 0), np.float32)
+    )
     left = 0
-    for p in range(len(begin)):
-        if too_wide(line, place, prominence, above, begin[p], end[p]):
+    for p in range(n_parts):
+        if too_wide(line, place, prominence, above, parts[0, p], parts[1, p]):
             left = -1
     if left == 0:
-        for p in range(len(begin)):
-            cover(line, place, begin[p], end[p], steep[chain[p]], order[1], columns, h, w, light)
-        left = left_over(n_tiles, rows, columns, tiles[2].reshape(-1), order[0], order[1], light)
-    chosen = choose(line, place, prominence, between, spread, steep, factor, begin, end, chain, min_length_px, least)
-    return line, place, prominence, between, spread, start, steep, factor, begin, end, chain, chosen, left
+        for p in range(n_parts):
+            cover(line, place, parts[0, p], parts[1, p], steep[parts[2, p]], order[1], columns, h, w, light)
+        left = left_over(n_tiles, rows, columns, height.reshape(-1), order[0], order[1], light)
+    chosen = choose(
+        line, place, prominence, heights[2], heights[3], steep, factor, parts, n_parts, min_length_px, least
+    )  # fmt: skip
+    return n_chains, n_parts, left, chosen
 
 
 @compiled

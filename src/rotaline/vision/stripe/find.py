@@ -10,6 +10,7 @@ bright beside the chains that is a ridge in the half or quarter size of its tile
 """
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -40,7 +41,6 @@ Values = UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]
 _LEVELS = 3
 _LEAST_SIZE = 16  # px; of a smaller image no half is made
 _LEAST_SEARCHED = 7  # px
-_LAST_MARK = 255
 _CLEAR = 1.5  # limits: to a stripe as prominent the exact limit, and what stands out by less, does not matter
 _FEW_LEFT = 24  # tiles; where more are not explained, the whole image is looked at
 
@@ -54,8 +54,8 @@ class Chains:
     line, place, prominence : (n,)   points, px of the size in which they were found; the line is the row of steep chains, the column of flat ones
     between, spread : (n,)   what is to be added to the place to get to the top, px; variance of the smoothed profile there, along the line, px^2
     start : (k + 1,)   where each chain begins
-    steep, factor : (k,)   kind of each chain, and px of the full image for one of its own
-    begin, end, chain : (m,)   points of the parts, and the chains they are of
+    steep, factor : (k,)   kind of each chain (1 for steep), and px of the full image for one of its own
+    parts : (3, m)   where the parts begin and end, and the chains they are of
     """
 
     line: Int32[np.ndarray, " n"]
@@ -64,11 +64,9 @@ class Chains:
     between: Float32[np.ndarray, " n"]
     spread: Float32[np.ndarray, " n"]
     start: Int32[np.ndarray, " k1"]
-    steep: Bool[np.ndarray, " k"]
+    steep: Int32[np.ndarray, " k"]
     factor: Int32[np.ndarray, " k"]
-    begin: Int32[np.ndarray, " m"]
-    end: Int32[np.ndarray, " m"]
-    chain: Int32[np.ndarray, " m"]
+    parts: Int32[np.ndarray, "3 m"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,16 +90,12 @@ class Chosen:
 
 
 class _Space:
-    """Work space for images of one size: a map of marks and one of zeros, tiles, and candidates.
-
-    The map is marked with a new number each time, so that it need not be wiped.
-    """
+    """Work space for images of one size: for tiles, candidates and chains, and a map of zeros."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         rows, columns = -(-shape[0] // TILE), -(-shape[1] // TILE)
-        self.mark = 0
-        self.marks, self.zeros = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.float32)
-        self.tiles = np.zeros((3, rows, columns), dtype=np.float32)
+        self.zeros = np.zeros(shape, dtype=np.float32)
+        self.height = np.zeros((rows, columns), dtype=np.float32)
         self.order, self.light = (
             np.zeros((2, rows * columns), dtype=np.int32),
             np.zeros(rows * columns, dtype=np.uint64),
@@ -111,14 +105,8 @@ class _Space:
     def more_room(self, n: int) -> None:
         """Make room for ``n`` candidates of each kind."""
         self.where, self.what = np.zeros((4, n), dtype=np.int32), np.zeros((8, n), dtype=np.float32)
-
-    def unmarked(self) -> tuple[np.ndarray, int, np.ndarray]:
-        """The map of marks, a number that is nowhere in it, and the map of zeros."""
-        if self.mark == _LAST_MARK:
-            self.marks.fill(0)
-            self.mark = 0
-        self.mark += 1
-        return self.marks, self.mark, self.zeros
+        self.points, self.heights = np.zeros((3, 2 * n), dtype=np.int32), np.zeros((4, 2 * n), dtype=np.float32)
+        self.chains, self.parts = np.zeros((2, 3, n), dtype=np.int32)
 
 
 class _Spaces(threading.local):
@@ -199,12 +187,12 @@ def find_chains(
     rounding : float   step of the grey values; 0 where they are not rounded
     everywhere : bool   search every tile in all three sizes, and not only those where something may be
     """
-    found, chosen, explained, least = _search(image, 1.0, threshold, floor, min_length_px, rounding, everywhere)
+    chains, chosen, explained, least = _search(image, 1.0, threshold, floor, min_length_px, rounding, everywhere)
     if everywhere or not explained:
-        chains = _with_smaller_sizes(Chains(*found), image, threshold, floor, min_length_px, everywhere)
+        found = _with_smaller_sizes(chains(), image, threshold, floor, min_length_px, everywhere)
         chosen = choose(
-            chains.line, chains.place, chains.prominence, chains.between, chains.spread, chains.steep, chains.factor,
-            chains.begin, chains.end, chains.chain, min_length_px, least,
+            found.line, found.place, found.prominence, found.between, found.spread, found.steep, found.factor, found.parts,
+            found.parts.shape[1], min_length_px, least,
         )  # fmt: skip
     uv, prominence, chain, spread, scale, steep, crowded, clear, strength, usual, length = chosen
     return Chosen(FoundStripe(uv, chain, spread, scale, crowded, clear), prominence, steep, strength, usual, length)
@@ -212,12 +200,12 @@ def find_chains(
 
 def _search(
     image: Values, scale: float, threshold: float, floor: float, min_length_px: float, rounding: float, everywhere: bool
-) -> tuple[list[Any], tuple[Any, ...], bool, float]:
+) -> tuple[Callable[[], Chains], tuple[Any, ...], bool, float]:
     """Find the chains of one size of an image, of which a step stands for ``scale`` grey values.
 
     Returns
     -------
-    found : list   what :class:`Chains` holds
+    chains : function   that returns the chains; to be called before another image of this size is searched
     chosen : tuple   the stripe by these alone, see :func:`rotaline.vision.stripe.settle_kernels.choose`
     explained : bool   no smaller size needs to be looked at
     least : float   prominence of a candidate
@@ -230,22 +218,39 @@ def _search(
         n_tiles = -1
         while n_tiles < 0:
             n_tiles, n_steep, n_flat, least, least_flat, by_noise = candidates(
-                values, scale, threshold, floor, rounding, effort, space.tiles, space.order, space.light, space.where,
+                values, scale, threshold, floor, rounding, effort, space.height, space.order, space.light, space.where,
                 space.what,
             )  # fmt: skip
             if n_tiles < 0:
                 space.more_room(4 * space.where.shape[1])
-        *found, chosen, left = assemble(
-            n_tiles, n_steep, n_flat, h, w, space.tiles, space.order, space.light, space.where, space.what,
-            min_length_px, max(least, least_flat), *space.unmarked(),
+        n_chains, n_parts, left, chosen = assemble(
+            n_tiles, n_steep, n_flat, h, w, space.height, space.order, space.light, space.where, space.what,
+            space.points, space.heights, space.chains, space.parts, min_length_px, max(least, least_flat),
         )  # fmt: skip
         if by_noise < floor or chosen[-2] > _CLEAR * max(least, least_flat):
             break
     explained = left == 0
     if 0 < left <= _FEW_LEFT:
         tiles, light = space.order[0, :left], space.light[:left]
-        explained = not ridges_beside(values, scale, tiles, light, space.tiles.shape[2], min(least, least_flat))
-    return found, chosen, explained, max(least, least_flat)
+        explained = not ridges_beside(values, scale, tiles, light, space.height.shape[1], min(least, least_flat))
+    return lambda: _chains_in(space, n_chains, n_parts), chosen, explained, max(least, least_flat)
+
+
+def _chains_in(space: _Space, n_chains: int, n_parts: int) -> Chains:
+    """The chains that were found last in a work space."""
+    start, steep, factor = space.chains
+    n = start[n_chains]
+    return Chains(
+        space.points[0, :n],
+        space.points[1, :n],
+        space.heights[0, :n],
+        space.heights[2, :n],
+        space.heights[3, :n],
+        start[: n_chains + 1],
+        steep[:n_chains],
+        factor[:n_chains],
+        space.parts[:, :n_parts],
+    )
 
 
 def _readable(image: Values) -> Values:
@@ -268,7 +273,7 @@ def _with_smaller_sizes(
         smaller = np.empty((image.shape[0] // 2, image.shape[1] // 2), dtype=np.uint16)
         half_size(_readable(image), divided_by, smaller)
         image, scale = smaller, scale * step
-        sizes.append(Chains(*_search(image, scale, threshold, floor, min_length_px, 0.0, everywhere)[0]))
+        sizes.append(_search(image, scale, threshold, floor, min_length_px, 0.0, everywhere)[0]())
         factors.append(sizes[-1].factor * np.int32(2**level))
     line, place, prominence, between, spread, steep = (
         np.concatenate([getattr(one, name) for one in sizes])
@@ -277,5 +282,8 @@ def _with_smaller_sizes(
     lengths = np.concatenate([np.diff(one.start) for one in sizes])
     start = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
     factor = np.concatenate(factors)
-    parts = compete(line, place, prominence, start, steep, factor, *_spaces.of(*shape).unmarked())
-    return Chains(line, place, prominence, between, spread, start, steep, factor, *parts)
+    parts = np.empty((3, len(line)), dtype=np.int32)
+    n_parts = compete(
+        line, place, prominence, start, steep, factor, len(factor), *shape, parts, _spaces.of(*shape).zeros
+    )
+    return Chains(line, place, prominence, between, spread, start, steep, factor, parts[:, :n_parts].copy())

@@ -42,7 +42,7 @@ def candidates(
     floor: float,
     rounding: float,
     effort: int,
-    tiles: np.ndarray,
+    height: np.ndarray,
     order: np.ndarray,
     light: np.ndarray,
     where: np.ndarray,
@@ -58,7 +58,7 @@ def candidates(
     floor : float   least prominence, grey values
     rounding : float   error of the grey values by which a ridge may stand out less in them
     effort : int   QUICK; CAREFUL, with more tiles, for stripes near the limit that the noise sets; or EVERYWHERE, in all tiles
-    tiles : (3, rows, columns)   float32; of its last part the first ``n_tiles`` values become the heights of the tiles that were searched
+    height : (rows, columns)   float32; the first ``n_tiles`` values become the heights of the tiles that were searched
     order : (2, rows * columns)   int32; becomes the tiles that were searched, and for each tile when that was (-1 where it was not)
     light : (rows * columns,)   uint64; becomes the bright pixels of the tiles that were searched
     where : (4, m)   int32; becomes line and place of steep candidates, then of flat ones; the line is the row of steep ones, the column of flat ones
@@ -73,21 +73,22 @@ def candidates(
     by_noise : float   what it would be by the noise alone
     """
     h, w = image.shape
-    tops, lows, height = tiles[0], tiles[1], tiles[2].reshape(-1)
     queue, number = order[0], order[1]
-    rows, columns = tops.shape
+    rows, columns = height.shape
+    height = height.reshape(-1)
+    tops, lows = np.empty((rows, columns), image.dtype), np.empty((rows, columns), image.dtype)
     n_tiles = rows * columns
     half, smooth = np.zeros(SMOOTH_SIZE + 6, np.float32), np.empty(SMOOTH_SIZE, np.float32)
     limits = np.empty(2, np.float32)
     if effort != EVERYWHERE:
-        sweep(image, scale, tops, lows)
+        sweep(image, tops, lows)
     by_noise = _limits(image, scale, rows, columns, threshold, floor, effort, half, smooth, limits)
     if effort == EVERYWHERE:
         n_queue = n_tiles
         for k in range(n_tiles):
             queue[k] = k
     else:
-        least = _RISE * min(limits[0], limits[1]) + _LUCK * by_noise - 0.25 * rounding
+        least = (_RISE * min(limits[0], limits[1]) + _LUCK * by_noise - 0.25 * rounding) / scale
         n_queue = bright_tiles(tops, lows, least, queue)
         if effort == QUICK and n_queue > _CROWD * n_tiles and by_noise >= floor:
             by_chance = n_queue - bright_tiles(tops, lows, _HIGHER * least, queue)

@@ -8,6 +8,7 @@ from rotaline.geometry.compiled import compiled
 
 _SHORTEST = 4  # points of a chain
 _GAPS = 3  # lines from one point to the next, at most; the place may differ by one pixel more
+_ONE, _EIGHT = np.uint64(1), np.uint64(8)
 
 
 @compiled
@@ -33,38 +34,44 @@ def link(
     Up to two lines may be missing between two linked candidates. ``start[k]`` is where chain k begins in what is appended to. Returns the
     number of chains.
     """
-    first = np.zeros(n_lines + _GAPS + 2, np.int32)
+    # unsigned numbers never count from the end, which makes faster loops
+    first = np.zeros(n_lines + _GAPS + 2, np.uint32)
     for k in range(n):
-        first[line[k] + 1] += 1
-    for i in range(len(first) - 1):
-        first[i + 1] += first[i]
+        first[np.uint64(line[k] + 1)] += np.uint32(1)
+    total = np.uint32(0)
+    for i in range(len(first)):
+        total += first[i]
+        first[i] = total
     fill = first.copy()
-    lines, places, order = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
+    lines, places, order = np.empty(n, np.uint32), np.empty(n, np.int32), np.empty(n, np.uint32)
     for k in range(n):
-        i, own = line[k], place[k]
-        at = fill[i]
-        fill[i] += 1
-        while at > first[i] and places[at - 1] > own:
-            places[at], order[at] = places[at - 1], order[at - 1]
-            at -= 1
-        lines[fill[i] - 1], places[at], order[at] = i, own, k
-    successor, linked = np.full(n, -1, np.int32), np.zeros(n, np.bool_)
-    unlinked = np.arange(n)
+        i, own = np.uint64(line[k]), place[k]
+        at = np.uint64(fill[i])
+        fill[i] = at + _ONE
+        lines[at] = i
+        begin = first[i]
+        while at > begin and places[at - _ONE] > own:
+            places[at], order[at] = places[at - _ONE], order[at - _ONE]
+            at -= _ONE
+        places[at], order[at] = own, k
+    successor, linked = np.full(n, n, np.uint32), np.zeros(n, np.bool_)
+    unlinked = np.empty(n, np.uint32)
     left = n
     for gap in range(1, _GAPS + 1):
         number, left = left, 0
         for q in range(number):
-            k = unlinked[q]
-            i = lines[k]
-            low, high = first[i + gap], first[i + gap + 1]
+            k = np.uint64(q) if gap == 1 else np.uint64(unlinked[q])
+            i = np.uint64(lines[k])
+            j = i + np.uint64(gap)
+            low, high = np.uint64(first[j]), np.uint64(first[j + _ONE])
             if low < high:
-                m = low if high - low == 1 else _nearest(places, low, high, places[k])
-                near = not linked[m] and abs(places[m] - places[k]) <= gap + 1
-                alone = first[i + 1] - first[i] == 1
-                if near and (alone or _nearest(places, first[i], first[i + 1], places[m]) == k):
-                    successor[k] = m
-                    linked[m] = True
-                    continue
+                m = low if high - low == _ONE else _nearest(places, low, high, places[k])
+                if not linked[m] and abs(places[m] - places[k]) <= gap + 1:
+                    begin, end = np.uint64(first[i]), np.uint64(first[i + _ONE])
+                    if end - begin == _ONE or _nearest(places, begin, end, places[m]) == k:
+                        successor[k] = m
+                        linked[m] = True
+                        continue
             unlinked[left] = k
             left += 1
     to = start[n_chains]
@@ -72,12 +79,13 @@ def link(
         if linked[k]:
             continue
         begin = to
-        m = k
-        while m >= 0:
-            out_line[to], out_place[to] = lines[m], places[m]
-            out_prominence[to], out_above[to], out_origin[to] = prominence[order[m]], above[order[m]], order[m]
+        m = np.uint64(k)
+        while m < n:
+            q, r = np.uint64(to), np.uint64(order[m])
+            out_line[q], out_place[q] = lines[m], places[m]
+            out_prominence[q], out_above[q], out_origin[q] = prominence[r], above[r], order[m]
             to += 1
-            m = successor[m]
+            m = np.uint64(successor[m])
         if to - begin < _SHORTEST:
             to = begin
         else:
@@ -90,14 +98,14 @@ def link(
 @no_type_check
 def _nearest(places: np.ndarray, low: int, high: int, wanted: int) -> int:
     """Index of the place nearest to the wanted one among the ascending ones from low to high; the smaller of two as near."""
-    while high - low > 8:
-        middle = (low + high) // 2
+    while high - low > _EIGHT:
+        middle = (low + high) >> _ONE
         if places[middle] <= wanted:
             low = middle
         else:
-            high = middle + 1
+            high = middle + _ONE
     best = low
-    for k in range(low + 1, high):
+    for k in range(low + _ONE, high):
         if abs(places[k] - wanted) < abs(places[best] - wanted):
             best = k
     return best

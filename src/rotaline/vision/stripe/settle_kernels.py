@@ -22,56 +22,111 @@ def compete(
     start: np.ndarray,
     steep: np.ndarray,
     factor: np.ndarray,
-    taken: np.ndarray,
-    mark: int,
+    n: int,
+    h: int,
+    w: int,
+    parts: np.ndarray,
     finest: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Give every pixel to one chain only, the chain with the larger sum of prominence first.
+) -> int:
+    """Give every pixel of an image of h x w to one of n chains only, the chain with the larger sum of prominence first.
+
+    What a chain covers is a run of pixels in each of its rows (steep) or columns. The runs of a row or column hang together: from the last one
+    that was covered to the one before, and so on.
 
     Parameters
     ----------
-    line, place, prominence : (n,)   points of the chains, in px of the size of the image in which they were found
-    start : (k + 1,)   where each chain begins
-    steep, factor : (k,)   kind of each chain, and px of the full image for one of its own
-    taken : (h, w)   uint8, nowhere ``mark``, which is set here
-    finest : (h, w)   float32, zeros; zeros again afterwards
+    line, place, prominence : (k,)   points of the chains, in px of the size of the image in which they were found
+    start : (n + 1,)   where each chain begins
+    steep, factor : (n,)   kind of each chain, and px of the full image for one of its own
+    parts : (3, m)   becomes the parts that stay: where they begin and end, and the chains they are of
+    finest : (h, w)   float32, zeros; zeros again afterwards; not used where all chains are of the full size
 
     Returns
     -------
-    begin, end, chain : (m,)   the parts that stay: their points, and the chains they are of
+    n_parts : int
     """
-    n = len(start) - 1
     strength = np.zeros(n, np.float64)
     for c in range(n):
-        for k in range(start[c], start[c + 1]):
+        for k in range(np.uint64(start[c]), np.uint64(start[c + 1])):
             strength[c] += prominence[k]
         strength[c] *= factor[c]
     order = _descending(strength)[:_MAX_CHAINS]
-    coarse = False
+    coarse, room = False, 0
     for c in order:
         coarse |= factor[c] > 1
+        room += (line[start[c + 1] - 1] - line[start[c]] + 1) * factor[c]
     if coarse:
         order = _coarse_back(line, place, prominence, start, steep, factor, strength, order, finest)
-    most = 0
-    for c in order:
-        most += (start[c + 1] - start[c]) // _SHORTEST
-    begin, end, chain = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
-    m = 0
+    newest, before = np.zeros(h + w, np.uint32), np.empty(room + 1, np.uint32)
+    low, high = np.empty(room + 1, np.int32), np.empty(room + 1, np.int32)
+    n_runs, m = 1, 0
     for c in order:
         first, last, is_steep, size = m, start[c + 1], steep[c], factor[c]
         free = start[c]
         for k in range(start[c], last + 1):
             if k < last:
-                row, column = _pixel(line[k], place[k], is_steep, size, taken.shape)
-                if taken[row, column] != mark:
+                row, column = _pixel(line[k], place[k], is_steep, size, h, w)
+                if not (
+                    _in_run(newest[np.uint64(row)], column, before, low, high)
+                    or _in_run(newest[np.uint64(h + column)], row, before, low, high)
+                ):
                     continue
             if k - free >= _SHORTEST:
-                begin[m], end[m], chain[m] = free, k, c
+                parts[0, m], parts[1, m], parts[2, m] = free, k, c
                 m += 1
             free = k + 1
         for p in range(first, m):
-            _paint(line, place, begin[p], end[p], is_steep, size, taken, mark)
-    return begin[:m], end[:m], chain[:m]
+            n_runs = _cover(
+                line, place, parts[0, p], parts[1, p], size, 0 if is_steep else h, h if is_steep else w, newest,
+                before, low, high, n_runs,
+            )  # fmt: skip
+    return m
+
+
+@compiled
+@no_type_check
+def _in_run(run: int, at: int, before: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+    """Whether a place is in a run, or one of those before it."""
+    while run:
+        if low[run] <= at <= high[run]:
+            return True
+        run = before[run]
+    return False
+
+
+@compiled
+@no_type_check
+def _cover(
+    line: np.ndarray,
+    place: np.ndarray,
+    begin: int,
+    end: int,
+    factor: int,
+    offset: int,
+    n_lines: int,
+    newest: np.ndarray,
+    before: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    n_runs: int,
+) -> int:
+    """Append the runs that a part of a chain covers; returns how many there are then.
+
+    ``offset`` is the place of line 0 in ``newest``, which counts rows first and then columns.
+    """
+    first, last, half = _reach(line, begin, end, factor, n_lines)
+    run = np.uint64(n_runs)
+    k = begin
+    for at in range(first, last):
+        if factor == 1 and last - first == end - begin:  # the usual case, without gaps
+            middle = place[begin + at - first]
+        else:
+            middle, k = _middle(line, place, k, end, factor, at)
+        own = np.uint64(offset + at)
+        low[run], high[run], before[run] = middle - half, middle + half, newest[own]
+        newest[own] = run
+        run += np.uint64(1)
+    return run
 
 
 @compiled
@@ -147,6 +202,7 @@ def _coarse_back(
 
     The finer ones are counted once for each row (column) of the coarse one.
     """
+    h, w = finest.shape
     back = np.zeros(len(order), np.bool_)
     for scale in (1, 2, 4):
         if scale > 1:
@@ -158,11 +214,11 @@ def _coarse_back(
         for c in order:
             if factor[c] == scale:
                 for k in range(start[c], start[c + 1]):
-                    row, column = _pixel(line[k], place[k], steep[c], scale, finest.shape)
+                    row, column = _pixel(line[k], place[k], steep[c], scale, h, w)
                     finest[row, column] = max(finest[row, column], prominence[k] * scale)
     for c in order:
         for k in range(start[c], start[c + 1]):
-            row, column = _pixel(line[k], place[k], steep[c], factor[c], finest.shape)
+            row, column = _pixel(line[k], place[k], steep[c], factor[c], h, w)
             finest[row, column] = 0.0
     out = np.empty_like(order)
     n = 0
@@ -176,11 +232,11 @@ def _coarse_back(
 
 @compiled
 @no_type_check
-def _pixel(line: int, place: int, steep: bool, factor: int, shape: tuple[int, int]) -> tuple[int, int]:
+def _pixel(line: int, place: int, steep: bool, factor: int, h: int, w: int) -> tuple[int, int]:
     """Row and column of the pixel of the full image at a point."""
     middle = factor >> 2 << 1
     row, column = (line, place) if steep else (place, line)
-    return min(row * factor + middle, shape[0] - 1), min(column * factor + middle, shape[1] - 1)
+    return min(row * factor + middle, h - 1), min(column * factor + middle, w - 1)
 
 
 @compiled
@@ -204,36 +260,6 @@ def _reach(line: np.ndarray, begin: int, end: int, factor: int, n_lines: int) ->
     first = line[begin] * factor + factor // 2
     last = line[end - 1] * factor + (factor - 1) // 2
     return first, min(last, n_lines - 1) + 1, int(np.rint(2.5 * factor + 2.0))
-
-
-@compiled
-@no_type_check
-def _paint(
-    line: np.ndarray, place: np.ndarray, begin: int, end: int, steep: bool, factor: int, field: np.ndarray, value: int
-) -> None:
-    """Set the pixels that a part of a chain covers."""
-    first, last, half = _reach(line, begin, end, factor, field.shape[0] if steep else field.shape[1])
-    k = begin
-    if factor == 1 and last - first == end - begin:  # the usual case, without gaps
-        for k in range(begin, end):
-            _paint_across(field, line[k], place[k] - half, place[k] + half, steep, value)
-        return
-    for at in range(first, last):
-        middle, k = _middle(line, place, k, end, factor, at)
-        _paint_across(field, at, middle - half, middle + half, steep, value)
-
-
-@compiled
-@no_type_check
-def _paint_across(field: np.ndarray, at: int, low: int, high: int, steep: bool, value: int) -> None:
-    """Set the pixels from low to high of one row (steep) or column."""
-    line = np.uint64(at)  # unsigned numbers never count from the end, which makes faster loops
-    if steep:
-        for j in range(np.uint64(max(low, 0)), np.uint64(min(high + 1, field.shape[1]))):
-            field[line, j] = value
-    else:
-        for i in range(np.uint64(max(low, 0)), np.uint64(min(high + 1, field.shape[0]))):
-            field[i, line] = value
 
 
 @compiled
@@ -278,13 +304,12 @@ def choose(
     spread: np.ndarray,
     steep: np.ndarray,
     factor: np.ndarray,
-    begin: np.ndarray,
-    end: np.ndarray,
-    chain: np.ndarray,
+    parts: np.ndarray,
+    n: int,
     min_length_px: float,
     least: float,
 ) -> tuple:
-    """The parts of chains that are the stripe, strongest first.
+    """Those of n parts of chains that are the stripe, strongest first.
 
     In a crowd, which shows the scene itself, only those stay that have a quarter of the prominence of the strongest one and a twenty-fifth of
     its strength, and are not short. Elsewhere a thirtieth of the prominence is enough.
@@ -299,11 +324,11 @@ def choose(
     clear : bool   all were found at the full size, and nine in ten points stand out by so many times the ``least`` prominence
     strength, prominence, length_px : of the strongest part: the sum and the median of its prominence, and its length
     """
-    n = len(begin)
+    begin, end, chain = parts[0], parts[1], parts[2]
     strength = np.zeros(n, np.float64)
     n_long = 0
     for p in range(n):
-        for k in range(begin[p], end[p]):
+        for k in range(np.uint64(begin[p]), np.uint64(end[p])):
             strength[p] += prominence[k]
         strength[p] *= factor[chain[p]]
         n_long += (end[p] - begin[p]) * factor[chain[p]] >= min_length_px
@@ -329,19 +354,20 @@ def choose(
     heights, wide = np.empty(size, np.float64), np.empty(size, np.float64)
     scale = np.empty(m, np.float64)
     is_steep = np.empty(m, np.bool_)
-    to, fine, n_clear = 0, True, 0
+    to, fine, n_clear = np.uint64(0), True, 0
     for q in range(m):
         p = kept[q]
-        fine &= factor[chain[p]] == 1
         c = chain[p]
+        fine &= factor[c] == 1
+        off_top = 1.0 if factor[c] == 1 else 0.0  # a pixel of a smaller image is too large for its top to say more
         scale[q], is_steep[q] = factor[c], steep[c]
-        for k in range(begin[p], end[p]):
-            on, across = (1, 0) if steep[c] else (0, 1)
-            uv[to, on] = line[k] * factor[c] + 0.5 * (factor[c] - 1)
-            uv[to, across] = place[k] + between[k] if factor[c] == 1 else place[k] * factor[c] + 0.5 * (factor[c] - 1)
+        off, across, along = 0.5 * (scale[q] - 1.0), np.uint64(1 - is_steep[q]), np.uint64(is_steep[q])
+        for k in range(np.uint64(begin[p]), np.uint64(end[p])):
+            uv[to, across] = place[k] * scale[q] + off + off_top * between[k]
+            uv[to, along] = line[k] * scale[q] + off
             number[to] = q
             heights[to], wide[to] = prominence[k], spread[k]
             n_clear += prominence[k] > _CLEAR * least
-            to += 1
+            to += np.uint64(1)
     clear = fine and n_clear >= _MOST_OF_ALL * size
     return uv, heights, number, wide, scale, is_steep, crowded, clear, best, usual, length

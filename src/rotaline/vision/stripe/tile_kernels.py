@@ -15,7 +15,7 @@ TILE, BLOCK_ROWS, BLOCK_COLUMNS = 16, 28, 32
 SMOOTH_SIZE = 22 * BLOCK_COLUMNS
 FIRST = 3 * BLOCK_COLUMNS + 5  # of the tile in its smoothed block
 _ABOVE, _LEFT = 6, 8  # of the tile in its block
-_U1, _U2, _U3, _U4, _U5, _U6, _U7, _U8, _U16 = (np.uint64(k) for k in (1, 2, 3, 4, 5, 6, 7, 8, 16))
+_U1, _U2, _U3, _U4, _U5, _U6, _U8, _U12, _U16 = (np.uint64(k) for k in (1, 2, 3, 4, 5, 6, 8, 12, 16))
 ONES = np.uint64(0x0101010101010101)  # eight bytes, each of them 1
 _weights = np.exp(-0.5 * np.arange(4.0) ** 2)
 _G0, _G1, _G2, _G3 = (np.float32(w) for w in _weights / (_weights[0] + 2.0 * _weights[1:].sum()))
@@ -23,8 +23,8 @@ _G0, _G1, _G2, _G3 = (np.float32(w) for w in _weights / (_weights[0] + 2.0 * _we
 
 @compiled
 @no_type_check
-def sweep(image: np.ndarray, scale: float, tops: np.ndarray, lows: np.ndarray) -> None:
-    """Highest and lowest of the highest values in the columns of each tile, times ``scale``.
+def sweep(image: np.ndarray, tops: np.ndarray, lows: np.ndarray) -> None:
+    """Highest and lowest of the highest values in the columns of each tile.
 
     The highest is that of means of two columns, so that a single pixel counts half; the lowest is that of four of the columns.
     """
@@ -33,31 +33,28 @@ def sweep(image: np.ndarray, scale: float, tops: np.ndarray, lows: np.ndarray) -
     means, least = np.empty_like(high), np.empty_like(high)
     for a in range(tops.shape[0]):
         high[:] = 0
-        for i in range(a * TILE, min((a + 1) * TILE, h), 8):
+        for i in range(a * TILE, min((a + 1) * TILE, h), 4):
             _raise_to(image, i, high)
         for j in range(w, len(high)):
             high[j] = high[w - 1]
-        _row_extremes(high, means, least, np.float32(scale), a, tops, lows)
+        _row_extremes(high, means, least, a, tops, lows)
 
 
 @compiled
 @no_type_check
 def _raise_to(image: np.ndarray, i: int, high: np.ndarray) -> None:
-    """Raise the values in ``high`` to those of the eight rows from row i on."""
+    """Raise the values in ``high`` to those of the four rows from row i on."""
     # unsigned numbers never count from the end, which makes faster loops
     r, last = np.uint64(i), np.uint64(image.shape[0] - 1)
-    r1, r2, r3, r4 = min(r + _U1, last), min(r + _U2, last), min(r + _U3, last), min(r + _U4, last)
-    r5, r6, r7 = min(r + _U5, last), min(r + _U6, last), min(r + _U7, last)
+    r1, r2, r3 = min(r + _U1, last), min(r + _U2, last), min(r + _U3, last)
     for j in range(np.uint64(image.shape[1])):
-        upper = max(max(image[r, j], image[r1, j]), max(image[r2, j], image[r3, j]))
-        lower = max(max(image[r4, j], image[r5, j]), max(image[r6, j], image[r7, j]))
-        high[j] = max(high[j], max(upper, lower))
+        high[j] = max(high[j], max(max(image[r, j], image[r1, j]), max(image[r2, j], image[r3, j])))
 
 
 @compiled
 @no_type_check
 def _row_extremes(
-    high: np.ndarray, means: np.ndarray, least: np.ndarray, scale: float, a: int, tops: np.ndarray, lows: np.ndarray
+    high: np.ndarray, means: np.ndarray, least: np.ndarray, a: int, tops: np.ndarray, lows: np.ndarray
 ) -> None:
     """The largest mean of two neighbours in each 16 values, and the smallest of every fourth of them: row a of ``tops`` and ``lows``."""
     n = np.uint64(len(high) - TILE)
@@ -65,18 +62,15 @@ def _row_extremes(
     for j in range(n):
         means[j] = value((np.int32(high[j]) + np.int32(high[j + _U1]) + 1) >> 1)
     for j in range(n):
-        least[j] = min(high[j], high[j + _U4])
+        least[j] = min(min(high[j], high[j + _U4]), min(high[j + _U8], high[j + _U12]))
     for j in range(n):
-        high[j] = max(means[j], means[j + _U8])
+        high[j] = max(max(means[j], means[j + _U4]), max(means[j + _U8], means[j + _U12]))
     for j in range(n):
-        means[j] = max(high[j], high[j + _U4])
-    for j in range(n):
-        high[j] = max(max(means[j], means[j + _U1]), max(means[j + _U2], means[j + _U3]))
+        means[j] = max(max(high[j], high[j + _U1]), max(high[j + _U2], high[j + _U3]))
     row = np.uint64(a)
     for b in range(np.uint64(tops.shape[1])):
-        tops[row, b] = scale * np.float32(high[_U16 * b])
-    for b in range(np.uint64(tops.shape[1])):
-        lows[row, b] = scale * np.float32(min(least[_U16 * b], least[_U16 * b + _U8]))
+        tops[row, b] = means[_U16 * b]
+        lows[row, b] = least[_U16 * b]
 
 
 @compiled
@@ -87,18 +81,19 @@ def bright_tiles(tops: np.ndarray, lows: np.ndarray, least: float, queue: np.nda
     The last tiles come first: they have been read most recently.
     """
     rows, columns = tops.shape
-    low = np.empty(columns + 2, np.float32)
+    value = tops.dtype.type
+    most = value(2 ** (8 * tops.itemsize) - 1)
+    height = value(min(max(least, 0.0), most))
+    low = np.full(columns + 2, most, tops.dtype)
     marks = np.zeros((columns + 7) // 8 * 8, np.uint8)
     words = marks.view(np.uint64)
-    low[0] = low[columns + 1] = np.inf
-    height = np.float32(least)
     n = 0
     for a in range(rows - 1, -1, -1):
         above, own, below = np.uint64(max(a - 1, 0)), np.uint64(a), np.uint64(min(a + 1, rows - 1))
         for b in range(np.uint64(columns)):
             low[b + _U1] = min(lows[own, b], min(lows[above, b], lows[below, b]))
         for b in range(np.uint64(columns)):
-            marks[b] = np.uint8(tops[own, b] > min(low[b + _U1], min(low[b], low[b + _U2])) + height)
+            marks[b] = np.uint8(value(tops[own, b] - min(low[b + _U1], min(low[b], low[b + _U2]))) > height)
         for k in range(len(words)):
             rest = words[k]
             while rest:

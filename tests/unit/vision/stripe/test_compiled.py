@@ -29,7 +29,6 @@ from rotaline.vision.stripe.plane import Plane
 from rotaline.vision.stripe.profiles import sample_profiles
 from rotaline.vision.stripe.row_kernels import whole_lines
 from rotaline.vision.stripe.strip_kernels import BLOCK
-from rotaline.vision.stripe.strip_kernels import BLOCK
 from rotaline.vision.stripe.strips import strips_of
 from rotaline.vision.stripe.trace_kernels import normals
 from rotaline.vision.stripe.uncertainty_kernels import scatter_and_floor
