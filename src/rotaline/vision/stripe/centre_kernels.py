@@ -12,13 +12,14 @@ from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _F = np.float32
 _ZERO, _UNIT, _TWO, _HALF, _SIXTH = _F(0.0), _F(1.0), _F(2.0), _F(0.5), _F(1.0 / 6.0)
-_NEAR, _LEAST_RATE = _F(0.25), _F(0.5)
+_LEAST_RATE = _F(0.5)
 _HUGE, _THIN, _NARROW, _NONE = _F(1e30), _F(1e-3), _F(0.1), _F(np.nan)
 _SIDE = 3.0  # the sides begin so many widths from the centre
 _LEAST_SIDE = 2  # pixels
 _MOST_STEPS = 8
-_LEAST_WINDOW_PX = 1.0
-_REACH = 4.0  # widths of the window
+_FLAT, _LONGEST = _F(1.0 / 32.0), _F(1.5)  # of a bell's variance; of the width
+_LEAST_WINDOW_PX = _F(1.0)
+_REACH = _F(4.0)  # widths of the window
 _SHIFT, _BY_SHAPE, _BY_WINDOW = 0, BLOCK, 2 * BLOCK
 _G0, _G1, _G2, _P0, _P1, _P2 = 3 * BLOCK, 4 * BLOCK, 5 * BLOCK, 6 * BLOCK, 7 * BLOCK, 8 * BLOCK
 _K0, _K1, _K2, _W1, _W2 = 9 * BLOCK, 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK
@@ -167,11 +168,7 @@ def weighted_centroids(
         if not wanted[begin // BLOCK]:
             continue
         _prepare(s, limit, start_px[begin:end], width_px[begin:end], slope_variance[begin:end], window)
-        low, high = first[begin], first[begin] + BLOCK * count[begin]
-        while low < high and _beyond(s, limit, distance[low : low + BLOCK]):
-            low += BLOCK
-        while low < high and _beyond(s, limit, distance[high - BLOCK : high]):
-            high -= BLOCK
+        low, high = _inside(s, limit, distance, first[begin], count[begin], end - begin)
         rest = low + (high - low) // (3 * BLOCK) * 3 * BLOCK
         for turn in range(_MOST_STEPS):
             s[_G0:_STEP] = _ZERO
@@ -204,12 +201,12 @@ def _prepare(
 ) -> None:
     """What the steps of a block begin with, and how far from the points' places the window ends."""
     for k in range(len(start_px)):
-        width = width_px[k]
-        window_px = max(window * width, _LEAST_WINDOW_PX)
+        width = _F(width_px[k])
+        window_px = max(_F(window) * width, _LEAST_WINDOW_PX)
         variance, window_variance = width * width, window_px * window_px
         s[_SHIFT + k] = start_px[k]
-        s[_BY_SHAPE + k], s[_BY_WINDOW + k] = 0.03125 / variance, 0.03125 / window_variance
-        s[_VARIANCE + k], s[_WINDOW + k], s[_MOST + k] = variance, window_variance, 1.5 * width
+        s[_BY_SHAPE + k], s[_BY_WINDOW + k] = _FLAT / variance, _FLAT / window_variance
+        s[_VARIANCE + k], s[_WINDOW + k], s[_MOST + k] = variance, window_variance, _LONGEST * width
         s[_SLOPE_VARIANCE + k] = slope_variance[k]
         product = variance * window_variance / (variance + window_variance)
         s[_PRODUCT + k], s[_G2 + k] = product, product
@@ -218,12 +215,20 @@ def _prepare(
 
 @compiled
 @no_type_check
-def _beyond(s: np.ndarray, limit: np.ndarray, d: np.ndarray) -> bool:
-    """Whether one place of a block is outside of all windows."""
-    inside = 0
-    for k in range(BLOCK):
-        inside += abs(d[k] - s[_SHIFT + k]) <= limit[k]
-    return inside == 0
+def _inside(s: np.ndarray, limit: np.ndarray, distance: np.ndarray, first: int, count: int, size: int) -> tuple:
+    """The places of a block that may be inside of the windows: where they begin and end.
+
+    Distances change evenly from place to place, but for a pixel.
+    """
+    low, high = np.float32(count), _ZERO
+    last = first + (count - 1) * BLOCK
+    for k in range(size):
+        begin = distance[np.uint64(first + k)]
+        per_px = np.float32(count - 1) / (distance[np.uint64(last + k)] - begin)
+        middle, reach = (s[_SHIFT + k] - begin) * per_px, (limit[k] + _UNIT) * abs(per_px)
+        low, high = min(low, middle - reach), max(high, middle + reach)
+    begin, end = max(int(low), 0) // 3 * 3, min(int(high) + 2, count)
+    return first + begin * BLOCK, first + max(end, begin) * BLOCK
 
 
 @compiled
@@ -268,6 +273,26 @@ def _add_sides_3(s: np.ndarray, d: np.ndarray, p: np.ndarray, w: np.ndarray) -> 
 
 @compiled
 @no_type_check
+def _lines_through(s: np.ndarray, found: np.ndarray) -> None:
+    """Level, slope and its variance, and means of both sides, from the sums of a block; level and slope take the place of the first two of these."""
+    for k in range(BLOCK):
+        reference, n_all, below = float(s[k]), float(s[2 * BLOCK + k]), float(s[3 * BLOCK + k])
+        sum_left, sum_x, sum_p = float(s[4 * BLOCK + k]), float(s[5 * BLOCK + k]), float(s[6 * BLOCK + k])
+        beyond = n_all - below
+        number = max(n_all, 1.0)
+        mean_x, mean_p = sum_x / number, sum_p / number
+        spread = max(float(s[7 * BLOCK + k]) - number * mean_x * mean_x, 1e-9)
+        both = min(below, beyond) >= _LEAST_SIDE
+        slope = (float(s[8 * BLOCK + k]) - mean_x * sum_p) / spread if both else 0.0
+        level = mean_p - slope * mean_x + reference
+        found[k], found[BLOCK + k], found[2 * BLOCK + k] = level, slope, 1.0 / spread if both else 0.0
+        found[3 * BLOCK + k] = sum_left / below + reference if below > 0.0 else np.nan
+        found[4 * BLOCK + k] = (sum_p - sum_left) / beyond + reference if beyond > 0.0 else np.nan
+        s[k], s[BLOCK + k] = level, slope
+
+
+@compiled
+@no_type_check
 def _take_line(s: np.ndarray, d: np.ndarray, p: np.ndarray) -> None:
     """Subtract lines (level, slope) from one place of a block."""
     for k in range(BLOCK):
@@ -297,19 +322,20 @@ def subtract_sides(
     sides : (n, 2) out   mean grey value of each side; NaN where there is none
     """
     n = len(width_px)
-    s = np.zeros(9 * BLOCK, _F)
+    s, found = np.zeros(9 * BLOCK, _F), np.empty(5 * BLOCK)
     for begin in range(0, n, BLOCK):
         m = min(BLOCK, n - begin)
         low, high = first[begin], first[begin] + BLOCK * count[begin]
+        any_hits = hits[begin : begin + m].any()
+        if any_hits:  # clipped pixels do not count here
+            for k in range(m):
+                for a in range(low + k, high if hits[begin + k] else low, BLOCK):
+                    share[a] = -share[a] if clipped[a] else share[a]
         s[:] = _ZERO
+        middle = low + BLOCK * (count[begin] // 2)
         for k in range(m):
-            i = begin + k
-            if hits[i]:  # clipped pixels do not count here
-                for a in range(low + k, high, BLOCK):
-                    if clipped[a]:
-                        share[a] = -share[a]
-            s[k] = above[low + k + BLOCK * (count[i] // 2)]  # sums of small numbers are more exact
-            s[BLOCK + k] = _SIDE * width_px[i]
+            s[k] = above[np.uint64(middle + k)]  # sums of small numbers are more exact
+            s[BLOCK + k] = _SIDE * width_px[np.uint64(begin + k)]
         rest = low + count[begin] // 3 * 3 * BLOCK
         for a in range(low, rest, 3 * BLOCK):
             b = a + 3 * BLOCK
@@ -317,25 +343,14 @@ def subtract_sides(
         for a in range(rest, high, BLOCK):
             b = a + BLOCK
             _add_sides(s, distance[a:b], above[a:b], share[a:b])
+        if any_hits:
+            for k in range(m):
+                for a in range(low + k, high if hits[begin + k] else low, BLOCK):
+                    share[a] = abs(share[a])
+        _lines_through(s, found)
         for k in range(m):
             i = begin + k
-            if hits[i]:
-                for a in range(low + k, high, BLOCK):
-                    share[a] = abs(share[a])
-            reference, n_all, below = float(s[k]), float(s[2 * BLOCK + k]), float(s[3 * BLOCK + k])
-            sum_left, sum_x, sum_p = float(s[4 * BLOCK + k]), float(s[5 * BLOCK + k]), float(s[6 * BLOCK + k])
-            slope, variance, level = 0.0, 0.0, 0.0
-            if n_all > 0.0:
-                mean_x, mean_p = sum_x / n_all, sum_p / n_all
-                if below >= _LEAST_SIDE and n_all - below >= _LEAST_SIDE:
-                    spread = max(float(s[7 * BLOCK + k]) - n_all * mean_x * mean_x, 1e-9)
-                    slope = (float(s[8 * BLOCK + k]) - mean_x * sum_p) / spread
-                    variance = 1.0 / spread
-                level = mean_p - slope * mean_x
-            level += reference
-            sides[i, 0] = sum_left / below + reference if below > 0.0 else np.nan
-            sides[i, 1] = (sum_p - sum_left) / (n_all - below) + reference if n_all > below else np.nan
-            line[i, 0], line[i, 1], line[i, 2] = level, slope, variance
-            s[k], s[BLOCK + k] = level, slope
+            line[i, 0], line[i, 1], line[i, 2] = found[k], found[BLOCK + k], found[2 * BLOCK + k]
+            sides[i, 0], sides[i, 1] = found[3 * BLOCK + k], found[4 * BLOCK + k]
         for a in range(low, high, BLOCK):
             _take_line(s, distance[a : a + BLOCK], above[a : a + BLOCK])
