@@ -193,8 +193,10 @@ def test_a_run_that_lost_its_last_stages_makes_them_again_with_the_same_result(c
     (results / "measurements.json").unlink()
     assert call("run", copied / "session").code == 0
     after = _entries(results)
+    # sums of the joint estimate differ in the last digit from one process to another, and a fit stops where another step would lower its cost by
+    # less than 1e-14 of it: a step of about 1e-7 of the points' scatter
     for key, entry in before.items():
-        assert after[key]["value"] == pytest.approx(entry["value"], rel=1e-12)
+        assert after[key]["value"] == pytest.approx(entry["value"], rel=1e-12, abs=1e-8)
 
 
 def test_the_report_is_written_again_without_the_session(copied, call):
