@@ -17,12 +17,13 @@ from rotaline.vision.stripe.tile_kernels import (
     first_byte,
     inside,
     smooth_border_tile,
+    smooth_rows,
     smooth_tile,
     sweep,
     tile_peaks,
 )
 
-_FEW, _MANY, _MOST = 12, 96, 400  # tiles that tell the noise
+_FEW, _MANY, _MOST = 16, 96, 400  # tiles that tell the noise
 QUICK, CAREFUL, EVERYWHERE = 0, 1, 2
 _LEAST_NOISE = 0.08
 _SURE = 1.25
@@ -210,28 +211,23 @@ def _limits(
     """
     h, w = image.shape
     many = _MANY if effort == QUICK else _MOST
-    samples = np.empty((2, max(many * 3 * TILE, _FEW * TILE * TILE)), np.float32)
+    samples = np.empty((2, max(many * 3 * TILE, _FEW * 5 * TILE)), np.float32)
     count = np.zeros(2, np.int64)
     least = np.inf
     for tiles in (_FEW, many):
-        number = min(tiles, rows * columns)
-        first, step = (0, 1) if rows * columns <= _FEW else (0, 4) if tiles == _FEW else (2, 5)
+        number, step = min(tiles, rows * columns), 1 if rows * columns <= _FEW else 2
         count[0] = count[1] = 0
         for k in range(number):
             tile = k * rows * columns // number
             tile += k * 7 % ((k + 1) * rows * columns // number - tile)  # not all in the same columns
-            top, left = tile // columns * TILE, tile % columns * TILE
-            if inside(tile // columns, tile % columns, h, w):
-                smooth_tile(image, scale, tile // columns, tile % columns, half, smooth)
-            else:
-                smooth_border_tile(image, scale, tile // columns, tile % columns, half, smooth)
-            for i in range(first, min(TILE, h - top), step):
-                t = FIRST + i * BLOCK_COLUMNS
+            top, left = smooth_rows(image, scale, tile // columns, tile % columns, half, smooth)
+            for i in range(1, 6, step):
+                t, y = 5 + i * BLOCK_COLUMNS, top + 3 * i
                 low, high = max(3 - left, 0), min(TILE, w - 3 - left)
-                if low < high:
+                if low < high and y < h:
                     count[0] = _drops(smooth, t + low, t + high, 3, samples[0], count[0])
-                if 3 <= top + i < h - 3:
-                    count[1] = _drops(smooth, t, t + min(TILE, w - left), 3 * BLOCK_COLUMNS, samples[1], count[1])
+                if 3 <= y < h - 3:
+                    count[1] = _drops(smooth, t, t + min(TILE, w - left), BLOCK_COLUMNS, samples[1], count[1])
         least, most = np.inf, 0.0
         for kind in range(2):
             values = samples[kind, : count[kind]]

@@ -135,8 +135,8 @@ def smooth_tile(image: np.ndarray, scale: float, a: int, b: int, half: np.ndarra
 
     The tile begins at ``smooth[FIRST]``; ``half`` is work space, with six numbers more than ``smooth``.
     """
-    _smooth_down(image, a * TILE - _ABOVE, b * TILE - _LEFT, scale, half)
-    _smooth_across(half, smooth)
+    _smooth_down(image, a * TILE - _ABOVE, b * TILE - _LEFT, 1, BLOCK_ROWS - 6, scale, half)
+    _smooth_across(half, SMOOTH_SIZE, smooth)
 
 
 @compiled
@@ -146,21 +146,52 @@ def smooth_border_tile(image: np.ndarray, scale: float, a: int, b: int, half: np
 
     It is a function of its own, since arrays that are used in some branches only would be counted for every tile.
     """
-    h, w = image.shape
     block = np.empty((BLOCK_ROWS, BLOCK_COLUMNS), image.dtype)
+    _mirrored_block(image, a, b, block)
+    smooth_block(block, scale, half, smooth)
+
+
+@compiled
+@no_type_check
+def _mirrored_block(image: np.ndarray, a: int, b: int, block: np.ndarray) -> None:
+    """The block of a tile; what lies beyond the border is mirrored."""
+    h, w = image.shape
     for i in range(BLOCK_ROWS):
         row = mirrored(a * TILE - _ABOVE + i, h)
         for j in range(BLOCK_COLUMNS):
             block[i, j] = image[row, mirrored(b * TILE - _LEFT + j, w)]
-    smooth_block(block, scale, half, smooth)
+
+
+@compiled
+@no_type_check
+def smooth_rows(
+    image: np.ndarray, scale: float, a: int, b: int, half: np.ndarray, smooth: np.ndarray
+) -> tuple[int, int]:
+    """Smooth seven rows, three apart, of a tile or one near it with a block that is inside, if there is one.
+
+    Returns
+    -------
+    row, column : int   of the pixel at ``smooth[5]``; pixel (row + 3 i, column + j) is at ``smooth[5 + 32 i + j]``, i below 7 and j below 16
+    """
+    h, w = image.shape
+    top, left = a * TILE - _ABOVE, b * TILE - _LEFT
+    if h < BLOCK_ROWS or w < BLOCK_COLUMNS:
+        block = np.empty((BLOCK_ROWS, BLOCK_COLUMNS), image.dtype)
+        _mirrored_block(image, a, b, block)
+        _smooth_down(block, 2, 0, 3, 7, scale, half)
+    else:
+        top, left = min(max(top, 0), h - BLOCK_ROWS), min(max(left, 0), w - BLOCK_COLUMNS)
+        _smooth_down(image, top + 2, left, 3, 7, scale, half)
+    _smooth_across(half, 7 * BLOCK_COLUMNS, smooth)
+    return top + 5, left + _LEFT
 
 
 @compiled
 @no_type_check
 def smooth_block(block: np.ndarray, scale: float, half: np.ndarray, smooth: np.ndarray) -> None:
     """The same for a block."""
-    _smooth_down(block, 0, 0, scale, half)
-    _smooth_across(half, smooth)
+    _smooth_down(block, 0, 0, 1, BLOCK_ROWS - 6, scale, half)
+    _smooth_across(half, SMOOTH_SIZE, smooth)
 
 
 @compiled
@@ -173,11 +204,11 @@ def _gauss(x0: float, x1: float, x2: float, x3: float, x4: float, x5: float, x6:
 
 @compiled
 @no_type_check
-def _smooth_down(image: np.ndarray, top: int, left: int, scale: float, half: np.ndarray) -> None:
-    """Smooth the columns of the block that begins at pixel (top, left)."""
+def _smooth_down(image: np.ndarray, top: int, left: int, step: int, n: int, scale: float, half: np.ndarray) -> None:
+    """Smooth the columns of a block for n of its rows; the pixels for the first one begin at (top, left), for the next one ``step`` below."""
     factor, first = np.float32(scale), np.uint64(left)
-    for i in range(BLOCK_ROWS - 6):
-        r = np.uint64(top + i)
+    for i in range(n):
+        r = np.uint64(top + step * i)
         for j in range(BLOCK_COLUMNS):
             c = first + np.uint64(j)
             half[i * BLOCK_COLUMNS + j] = factor * _gauss(
@@ -188,9 +219,9 @@ def _smooth_down(image: np.ndarray, top: int, left: int, scale: float, half: np.
 
 @compiled
 @no_type_check
-def _smooth_across(half: np.ndarray, smooth: np.ndarray) -> None:
-    """Smooth the rows of a block."""
-    for t in range(SMOOTH_SIZE):
+def _smooth_across(half: np.ndarray, size: int, smooth: np.ndarray) -> None:
+    """Smooth the rows of a block, of which there are so many values."""
+    for t in range(size):
         smooth[t] = _gauss(half[t], half[t + 1], half[t + 2], half[t + 3], half[t + 4], half[t + 5], half[t + 6])
 
 

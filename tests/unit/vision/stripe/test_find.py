@@ -11,7 +11,14 @@ from rotaline.vision.stripe.find import find, find_chains
 from rotaline.vision.stripe.options import StripeOptions
 from rotaline.vision.stripe.settle_kernels import median
 from rotaline.vision.stripe.signal import find_stripe, split_frame
-from rotaline.vision.stripe.tile_kernels import sweep
+from rotaline.vision.stripe.tile_kernels import (
+    BLOCK_COLUMNS,
+    FIRST,
+    SMOOTH_SIZE,
+    smooth_border_tile,
+    smooth_rows,
+    sweep,
+)
 
 SHAPE = (240, 320)
 V, U = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
@@ -147,6 +154,27 @@ def test_the_sweep_sees_every_pixel(dtype, size):
         means = np.floor(0.5 * (high[:-1] + high[1:] + 1.0)).reshape(columns, 16)
         assert np.array_equal(tops[a], means.max(axis=1))
         assert np.array_equal(lows[a], high[:-1].reshape(columns, 16)[:, ::4].min(axis=1))
+
+
+@pytest.mark.parametrize("size", [(48, 64), (17, 33), (20, 20)])
+def test_rows_for_the_noise_are_smoothed_like_tiles(size):
+    image = np.random.default_rng(7).uniform(0, 255, size).astype(np.uint8)
+    half, rows = np.zeros(SMOOTH_SIZE + 6, dtype=np.float32), np.empty(SMOOTH_SIZE, dtype=np.float32)
+    row, column = smooth_rows(image, 0.5, 1, 1, half, rows)
+    expected = np.pad(image.astype(float), 48, mode="reflect")
+    weights = np.exp(-0.5 * np.arange(-3.0, 4.0) ** 2)
+    for axis in (0, 1):
+        expected = np.apply_along_axis(np.convolve, axis, expected, weights / weights.sum(), mode="same")
+    for i in range(7):
+        at, from_column = row + 3 * i + 48, column + 48
+        values = rows[5 + i * BLOCK_COLUMNS :][:16]
+        np.testing.assert_allclose(values, 0.5 * expected[at, from_column : from_column + 16], rtol=1e-4)
+    tile = np.empty_like(rows)
+    smooth_border_tile(image, 0.5, 1, 1, half, tile)
+    expected_tile = 0.5 * expected[64 : 48 + size[0], 64:80]
+    for i, values in enumerate(expected_tile[:16]):
+        n = min(16, size[1] - 16)
+        np.testing.assert_allclose(tile[FIRST + i * BLOCK_COLUMNS :][:n], values[:n], rtol=1e-4)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 6, 801])
