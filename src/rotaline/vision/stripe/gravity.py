@@ -4,14 +4,10 @@ import numpy as np
 
 from rotaline.vision.stripe.centres import Centres
 from rotaline.vision.stripe.found import FoundStripe
-from rotaline.vision.stripe.gravity_kernels import centres_on_lines
-from rotaline.vision.stripe.line_kernels import read_lines
+from rotaline.vision.stripe.gravity_kernels import measure_found
 from rotaline.vision.stripe.measure import Measured
 from rotaline.vision.stripe.plane import Plane
-from rotaline.vision.stripe.row_kernels import whole_lines
-from rotaline.vision.stripe.trace import Trace
-
-_WIDTH_PX = 1.5  # of the stripe, to begin with
+from rotaline.vision.stripe.trace import SIMPLE_PX, Trace
 
 
 def measure_on_lines(found: FoundStripe, plane: Plane) -> Measured | None:
@@ -21,17 +17,11 @@ def measure_on_lines(found: FoundStripe, plane: Plane) -> Measured | None:
     """
     if len(found.uv) == 0 or (found.scale_px > 1.0).any():
         return None
-    uv, starts, width, along = whole_lines(found.uv, found.chain, _WIDTH_PX)
     value, source = plane.value, plane.source
-    for again in (True, False):
-        strips = read_lines(
-            value.reshape(-1), source.reshape(-1), value is not source, float(plane.limit), plane.size, uv, along, width
-        )
-        width, enough, normal, shift, u, wide, height, noise, floor, saturated = centres_on_lines(
-            uv, starts, width, along, *strips, 0.29 * plane.unit, again
-        )
-        if enough:
-            break
+    uv, starts, width, along, normal, shift, u, wide, height, noise, floor, saturated = measure_found(
+        value.reshape(-1), source.reshape(-1), value is not source, float(plane.limit), plane.size, 0.29 * plane.unit,
+        found.uv, found.chain, found.spread_px2, found.clear, *SIMPLE_PX,
+    )  # fmt: skip
     return Measured(
         Trace(uv, starts, width, along),
         normal,

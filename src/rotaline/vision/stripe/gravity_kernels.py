@@ -6,11 +6,13 @@ import numpy as np
 
 from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.chain_kernels import window_mean
-from rotaline.vision.stripe.line_kernels import BLOCK, flat_centroids, rough_centres
+from rotaline.vision.stripe.line_kernels import BLOCK, flat_centroids, read_lines, rough_centres
+from rotaline.vision.stripe.row_kernels import whole_lines
 from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_floor
 
 _WINDOW = 6  # points on either side that settle the direction
 _FINE_PX = 0.05  # misfit of a line that is not worth a one-sided window
+_WIDTH_PX = 1.5  # of the stripe, to begin with
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.4, 40.0
 _LAG, _PAIRS = 3, 32  # points between strips whose pixels are compared; such pairs a chain
 _NOISE_FROM = 3.3  # widths: pixels further out tell the noise
@@ -135,58 +137,74 @@ def _differences(
 
 @compiled
 @no_type_check
-def centres_on_lines(
-    uv: np.ndarray,
-    starts: np.ndarray,
-    width_px: np.ndarray,
-    along: np.ndarray,
-    middle: np.ndarray,
-    half: np.ndarray,
-    off: np.ndarray,
-    level: np.ndarray,
-    ground: np.ndarray,
-    hits: np.ndarray,
+def measure_found(
+    value: np.ndarray,
+    source: np.ndarray,
+    subtracted: bool,
+    limit: float,
+    size: tuple,
     least_noise: float,
-    again: bool,
+    uv: np.ndarray,
+    chain: np.ndarray,
+    spread_px2: np.ndarray,
+    clear: bool,
+    least_px: float,
+    most_px: float,
 ) -> tuple:
-    """Where the stripe is in strips along rows and columns: the centroid of what stands above the background.
+    """Where the stripe is along the rows and columns that the found chains cross: the centroid of what stands above the background.
+
+    Where the chains are clear and the stripe is not wide, their tops and the spread of these tell place and width. Otherwise a centroid under a bell
+    does, in strips for a usual width, and once more in longer ones where these do not reach far enough.
 
     Parameters
     ----------
-    along : (n, 2)   direction of the row or column of each point
-    middle, half, off, level, ground, hits : of :func:`rotaline.vision.stripe.line_kernels.read_lines`
+    value, source, subtracted, limit, size : of :func:`rotaline.vision.stripe.line_kernels.read_lines`
     least_noise : float   of a pixel
-    again : bool   to stop when the strips do not reach far enough
+    uv, chain, spread_px2, clear : of :class:`rotaline.vision.stripe.found.FoundStripe`
+    least_px, most_px : float   widths between which the spread tells the width
 
     Returns
     -------
+    points, starts
     width : (n,)   along the row or column, averaged along the stripe
-    enough : bool   the strips are long enough; otherwise what follows is empty
+    along : (n, 2)   direction of the row or column of each point
     normals : (n, 2)   of the stripe
     shifts, uncertainties for a noise of 1, widths, heights; shifts are NaN where there is no stripe
     noise : (n,)   of a pixel
     floor : float   scatter of the centres that the noise does not explain
     saturated : (n,) bool
     """
+    uv, starts, along, stretch, measured = whole_lines(uv, chain, spread_px2)
     n = len(uv)
-    rough, rough_width, line = rough_centres(middle, half, off, level, ground, width_px)
-    shift, measured, width, good = np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.bool_)
-    moved = np.empty((n, 2))
+    width, shift, good, moved = np.empty(n), np.zeros(n), np.ones(n, np.bool_), uv
+    known = clear
+    for i in range(n):
+        measured[i] = np.sqrt(max(measured[i], _LEAST_WIDTH_PX * _LEAST_WIDTH_PX))
+    window_mean(measured, starts, 10, width)
+    for i in range(n):
+        known &= least_px <= width[i] <= most_px
+    for i in range(n):
+        width[i] = np.sqrt(stretch[i]) * (width[i] if known else _WIDTH_PX)
+    for _ in range(2):
+        middle, half, off, level, ground, hits = read_lines(value, source, subtracted, limit, size, uv, along, width)
+        if known:
+            break
+        rough, rough_width = rough_centres(middle, half, off, level, ground, width)
+        moved, enough = np.empty((n, 2)), True
+        for i in range(n):
+            good[i] = abs(rough[i]) <= 1.5 * width[i] + 1.0
+            wide = rough_width[i] if good[i] else width[i]
+            measured[i] = min(max(wide, _LEAST_WIDTH_PX), _MOST_WIDTH_PX)
+            shift[i] = rough[i] if good[i] else 0.0
+            moved[i, 0], moved[i, 1] = uv[i, 0] + shift[i] * along[i, 0], uv[i, 1] + shift[i] * along[i, 1]
+        window_mean(measured, starts, 10, width)
+        for i in range(n):
+            enough &= 3.0 * width[i] + 2.5 <= half[i // BLOCK]
+        if enough:
+            break
     any_hits = False
     for i in range(n):
-        good[i] = abs(rough[i]) <= 1.5 * width_px[i] + 1.0
-        wide = rough_width[i] if good[i] else width_px[i]
-        measured[i] = min(max(wide, _LEAST_WIDTH_PX), _MOST_WIDTH_PX)
-        shift[i] = rough[i] if good[i] else 0.0
-        moved[i, 0], moved[i, 1] = uv[i, 0] + shift[i] * along[i, 0], uv[i, 1] + shift[i] * along[i, 1]
         any_hits |= hits[i] > 0
-    window_mean(measured, starts, 10, width)
-    enough = True
-    for i in range(n):
-        enough &= 3.0 * width[i] + 2.5 <= half[i // BLOCK]
-    if again and not enough:
-        none, no_shift = np.empty((0, 2)), np.empty(0)
-        return width, False, none, no_shift, no_shift, no_shift, no_shift, no_shift, 0.0, good
     differences, ends = _differences(starts, along, middle, half, off, ground, shift, width)
     noise = pixel_noise(differences, ends, starts, least_noise)
     normal = line_normals(moved, starts, along)
@@ -197,9 +215,9 @@ def centres_on_lines(
             for t in range(-h, h if hits[i] > 0 else -h):
                 clipped = np.isnan(ground[at + t * BLOCK]) and not np.isnan(level[at + t * BLOCK])
                 saturated[i] |= clipped and abs(t + off[i] - shift[i]) <= core
-    centre, u, wide_px, high = flat_centroids(middle, half, off, level, ground, line, width, shift)
+    centre, u, wide_px, high = flat_centroids(middle, half, off, level, ground, width, shift, 1 if known else 2)
     for i in range(n):
         if not good[i]:
             centre[i] = np.nan
     _, floor = scatter_and_floor(uv, starts, along, centre, u, noise)
-    return width, True, normal, centre, u, wide_px, high, noise, floor, saturated
+    return uv, starts, width, along, normal, centre, u, wide_px, high, noise, floor, saturated

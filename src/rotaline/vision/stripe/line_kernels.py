@@ -19,7 +19,7 @@ _ZERO, _HALF, _UNIT, _TWO, _MOST_STEP = _F(0.0), _F(0.5), _F(1.0), _F(2.0), _F(1
 _NARROW, _ROOT_2PI = _F(0.1), _F(np.sqrt(2.0 * np.pi))
 _HUGE, _THIN, _NONE = _F(1e30), _F(1e-3), _F(np.nan)
 _SIDE = 3.0  # widths: the background begins, the window ends
-_REACH, _REACH_PX = 3.5, 4.0  # widths and px to both sides
+_REACH, _REACH_PX = 3.5, 5.5  # widths and px to both sides
 _MOST_STEPS = 3
 _SHORT_PX = _F(0.3)  # a step is the last when it is shorter: good enough to know the width
 _WIDTH, _CENTRE, _LIMIT, _STEP, _LEVEL, _SLOPE = (k * BLOCK for k in range(6))
@@ -82,22 +82,27 @@ def read_lines(
         total += 2 * half[b] * BLOCK
     level, hits = np.empty(total, _F), np.zeros(n, np.int64)
     ground, apart = level, False
+    runs = np.empty((4, BLOCK), np.int64)
+    pixel, step, place, last = runs[0], runs[1], runs[2], runs[3]
     top = _F(limit)
     for b in range(blocks):
         h, bright = half[b], 0
         begin, end = middle[b] - h * BLOCK, middle[b] + h * BLOCK
         for k in range(BLOCK):
-            pixel, stride, place, last, off[b * BLOCK + k] = _run_of_pixels(uv, along, size, min(b * BLOCK + k, n - 1))
-            at, there = np.uint64(pixel - h * stride), np.uint64(begin + k)
-            if h <= place <= last + 1 - h:
-                for _ in range(2 * h):
-                    level[there] = value[at]
-                    at += np.uint64(stride)
-                    there += np.uint64(BLOCK)
+            pixel[k], step[k], place[k], last[k], off[b * BLOCK + k] = _run_of_pixels(
+                uv, along, size, min(b * BLOCK + k, n - 1)
+            )
+        for k in range(BLOCK):
+            at, there, stride = np.uint64(pixel[k] - h * step[k]), np.uint64(begin + k), np.uint64(step[k])
+            if h <= place[k] <= last[k] + 1 - h:
+                for _ in range(h):
+                    level[there], level[there + np.uint64(BLOCK)] = value[at], value[at + stride]
+                    at += stride + stride
+                    there += np.uint64(2 * BLOCK)
             else:
                 for t in range(-h, h):
-                    inside = 0 <= place + t <= last
-                    level[middle[b] + t * BLOCK + k] = value[np.uint64(pixel + t * stride)] if inside else _NONE
+                    inside = 0 <= place[k] + t <= last[k]
+                    level[middle[b] + t * BLOCK + k] = value[np.uint64(pixel[k] + t * step[k])] if inside else _NONE
         for j in range(begin, end):
             bright += level[np.uint64(j)] >= top
         if apart or subtracted or bright > 0:
@@ -105,12 +110,10 @@ def read_lines(
                 apart, ground = True, level.copy()
             ground[begin:end] = level[begin:end]
             for k in range(min(BLOCK, n - b * BLOCK)):
-                i = b * BLOCK + k
-                pixel, stride, place, last, _ = _run_of_pixels(uv, along, size, i)
-                for t in range(max(-h, -place), min(h, last + 1 - place)):
-                    if source[np.uint64(pixel + t * stride)] >= limit:
+                for t in range(max(-h, -place[k]), min(h, last[k] + 1 - place[k])):
+                    if source[np.uint64(pixel[k] + t * step[k])] >= limit:
                         ground[np.uint64(middle[b] + t * BLOCK + k)] = _NONE
-                        hits[i] += 1
+                        hits[b * BLOCK + k] += 1
     return middle, half, off, level, ground, hits
 
 
@@ -130,6 +133,15 @@ def _add_all(s: np.ndarray, level: np.ndarray, at: int, t: float) -> None:
         s[_XX + k] += x2
         s[_Q + k] += q0
         s[_XQ + k] += q1
+
+
+@compiled
+@no_type_check
+def _sums_of_all(s: np.ndarray, level: np.ndarray, at: int, h: int) -> None:
+    """The sums of all pixels of a block."""
+    s[_N:_S0] = _ZERO
+    for t in range(-h, h, 2):
+        _add_all(s, level, np.uint64(at + t * BLOCK), _F(t))
 
 
 @compiled
@@ -219,10 +231,9 @@ def rough_centres(
     Returns
     -------
     shift, measured width : (blocks * BLOCK,)   shifts are NaN where nothing stands above the background
-    line : (blocks, 7 * BLOCK)   level and slope of the background, and sums for a line through all pixels
     """
     n, blocks = len(width_px), len(middle)
-    out, line = np.empty((2, blocks * BLOCK), _F), np.empty((blocks, 7 * BLOCK), _F)
+    out = np.empty((2, blocks * BLOCK), _F)
     s = np.zeros(_SIZE, _F)
     for b in range(blocks):
         at, h, first = middle[b], half[b], b * BLOCK
@@ -232,11 +243,8 @@ def rough_centres(
         for k in range(BLOCK):
             s[_LIMIT + k] = _F(_SIDE) * s[_WIDTH + k]
             widest = max(widest, np.int32(_F(_REACH) * s[_WIDTH + k]))
-        s[_N:_S0] = _ZERO
-        for t in range(-h, h, 2):
-            _add_all(s, ground, np.uint64(at + t * BLOCK), _F(t))
+        _sums_of_all(s, ground, at, h)
         _background(s, ground, at, h)
-        line[b] = s[_LEVEL:_S0]
         for k in range(BLOCK):
             s[_LIMIT + k] = _F(0.03125) / (s[_WIDTH + k] * s[_WIDTH + k])
         reach = min(int(widest) + 1, h)
@@ -263,7 +271,7 @@ def rough_centres(
             wide = moment * variance / max(variance - moment, _THIN * variance)
             out[0, first + k] = s[_CENTRE + k] + off[first + k] if (p0 > _ZERO) & (high > _ZERO) else _NONE
             out[1, first + k] = min(np.sqrt(max(wide, _NARROW)), _TWO * _MOST_STEP * s[_WIDTH + k])
-    return out[0], out[1], line
+    return out[0], out[1]
 
 
 @compiled
@@ -297,13 +305,17 @@ def flat_centroids(
     off: np.ndarray,
     level: np.ndarray,
     ground: np.ndarray,
-    line: np.ndarray,
     width_px: np.ndarray,
     start_px: np.ndarray,
+    passes: int,
 ) -> tuple:
     """Centroid of what stands above the background within three widths; all grey values count alike.
 
     The window follows the result; its ends fall on whole pixels. The background is a line through what lies outside of it.
+
+    Parameters
+    ----------
+    passes : int   windows, each about the result of the one before
 
     Returns
     -------
@@ -316,10 +328,9 @@ def flat_centroids(
         at, h, first = middle[b], half[b], b * BLOCK
         for k in range(min(BLOCK, n - first)):
             s[_CENTRE + k], s[_LIMIT + k] = start_px[first + k] - off[first + k], _SIDE * width_px[first + k]
-        s[_LEVEL:_S0] = line[b]
-        for again in range(2):
-            if again:
-                _background(s, ground, at, h)
+        _sums_of_all(s, ground, at, h)
+        for _ in range(passes):
+            _background(s, ground, at, h)
             inner = _inner(s, h)
             s[_S0:] = _ZERO
             for t in range(-inner, inner, 2):

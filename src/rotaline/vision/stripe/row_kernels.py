@@ -9,7 +9,7 @@ from rotaline.vision.stripe.chain_kernels import starts_of, window_mean
 from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _UNDECIDED = 0.15  # difference of the normal's components
-_AROUND_PX = 8.0  # to both sides, along the stripe: the direction that decides between rows and columns
+_AROUND = 8  # pixels to both sides, along the stripe: the direction that decides between rows and columns
 _SIDE = 3.0  # widths: the background begins, the window ends
 _LEAST_SIDE = 2  # pixels
 _PASSES = 3
@@ -22,56 +22,65 @@ _N, _BELOW, _X1, _X2, _Q, _XQ, _XXQ = (k * BLOCK for k in range(4, 11))
 
 @compiled
 @no_type_check
-def _crossings(uv: np.ndarray, starts: np.ndarray, balance: np.ndarray) -> tuple:
-    """Where chains cross whole rows (where they are steep: the balance is positive) or whole columns (where they are flat).
+def _crossings(
+    uv: np.ndarray,
+    begin: int,
+    end: int,
+    balance: np.ndarray,
+    points: np.ndarray,
+    after: np.ndarray,
+    part: np.ndarray,
+    edges: np.ndarray,
+    kinds: np.ndarray,
+    pieces: int,
+) -> tuple:
+    """Where a chain crosses whole rows (where it is steep: the balance is positive) or whole columns (where it is flat).
 
     Near 45 deg what held before goes on.
 
+    Parameters
+    ----------
+    points, edges, kinds : of the ``pieces`` before, and of those to come: where they start and the last one stops, which of them are steep
+    after, part : the point behind each crossing, and where the crossing is on the way there from the one before it
+
     Returns
     -------
-    points, starts, steep : (pieces,) bool
-    after, part   the point behind each crossing, and where the crossing is on the way there from the one before it
+    points, pieces : int   that there are now
     """
-    n = len(uv)
-    most = int(2 * n + 2 * len(starts))
-    points, after, part = np.empty((most, 2)), np.empty(most, np.int64), np.empty(most)
-    edges, kinds = np.empty(n + len(starts), np.int64), np.empty(n + len(starts), np.bool_)
-    m, pieces = 0, 0
-    for c in range(len(starts) - 1):
-        begin = starts[c]
-        steep = balance[begin] >= 0.0
-        while begin < starts[c + 1]:
-            stop = begin + 1
-            later = steep
-            while stop < starts[c + 1]:
-                if abs(balance[stop]) > _UNDECIDED:
-                    later = balance[stop] >= 0.0
-                    if later != steep:
-                        break
-                stop += 1
-            k = 1 if steep else 0
-            sense = 1.0 if uv[stop - 1, k] >= uv[begin, k] else -1.0
-            line = sense * uv[begin, k]
-            whole = np.ceil(line)
-            first = m
-            for i in range(begin + 1, stop):
-                end = max(line, sense * uv[i, k])
-                while whole <= end and m < most:
-                    f = (whole - line) / (end - line) if end > line else 0.0
-                    points[m, k] = sense * whole
-                    points[m, 1 - k] = uv[i - 1, 1 - k] + f * (uv[i, 1 - k] - uv[i - 1, 1 - k])
-                    after[m], part[m] = i, f
-                    m += 1
-                    whole += 1.0
-                line = end
-            if m - first >= 2:
-                edges[pieces], kinds[pieces] = first, steep
-                pieces += 1
-            else:
-                m = first
-            begin, steep = stop, later
-    edges[pieces] = m
-    return points[:m], edges[: pieces + 1], kinds[:pieces], after[:m], part[:m]
+    m, most = edges[pieces], len(points)
+    steep = balance[begin] >= 0.0
+    while begin < end:
+        stop = begin + 1
+        later = steep
+        while stop < end:
+            if abs(balance[stop]) > _UNDECIDED:
+                later = balance[stop] >= 0.0
+                if later != steep:
+                    break
+            stop += 1
+        k = 1 if steep else 0
+        sense = 1.0 if uv[stop - 1, k] >= uv[begin, k] else -1.0
+        line = sense * uv[begin, k]
+        whole = np.ceil(line)
+        first = m
+        for i in range(begin + 1, stop):
+            there = max(line, sense * uv[i, k])
+            while whole <= there and m < most:
+                f = (whole - line) / (there - line) if there > line else 0.0
+                points[m, k] = sense * whole
+                points[m, 1 - k] = uv[i - 1, 1 - k] + f * (uv[i, 1 - k] - uv[i - 1, 1 - k])
+                after[m], part[m] = i, f
+                m += 1
+                whole += 1.0
+            line = there
+        if m - first >= 2:
+            kinds[pieces] = steep
+            pieces += 1
+            edges[pieces] = m
+        else:
+            m = first
+        begin, steep = stop, later
+    return m, pieces
 
 
 @compiled
@@ -88,8 +97,13 @@ def cross_lines(uv: np.ndarray, starts: np.ndarray, width_px: np.ndarray, normal
     for i in range(n):
         balance[i] = abs(normal[i, 0]) - abs(normal[i, 1])
     window_mean(balance, starts, 10, mean)
-    points, edges, steep, after, part = _crossings(uv, starts, mean)
-    m = len(points)
+    most = int(2 * n + 2 * len(starts))
+    points, after, part = np.empty((most, 2)), np.empty(most, np.int64), np.empty(most)
+    edges, steep = np.zeros(n + len(starts), np.int64), np.empty(n + len(starts), np.bool_)
+    m = pieces = 0
+    for c in range(len(starts) - 1):
+        m, pieces = _crossings(uv, starts[c], starts[c + 1], mean, points, after, part, edges, steep, pieces)
+    points, edges = points[:m], edges[: pieces + 1]
     own, along, wide = np.empty((m, 2)), np.zeros((m, 2)), np.empty(m)
     for c in range(len(edges) - 1):
         k = 0 if steep[c] else 1
@@ -106,39 +120,93 @@ def cross_lines(uv: np.ndarray, starts: np.ndarray, width_px: np.ndarray, normal
 
 @compiled
 @no_type_check
-def whole_lines(uv: np.ndarray, chain: np.ndarray, width_px: float) -> tuple:
+def _slopes(uv: np.ndarray, start: int, stop: int, k: int, out: np.ndarray) -> bool:
+    """Whether a chain has a point on each row (``k`` is 0) or column that it passes, and is nowhere nearer to the other direction; its slopes, px a line."""
+    m, w = stop - start, _AROUND
+    if m <= 2 * w:
+        return False
+    across, line = uv[start:stop, k], uv[start:stop, 1 - k]
+    sense, own = line[1] - line[0], out[start:stop]
+    stays = abs(sense) == 1.0
+    for i in range(m - 1):
+        stays &= line[i + 1] - line[i] == sense
+    for i in range(m - 2 * w):
+        own[w + i] = (across[2 * w + i] - across[i]) / (2.0 * w)
+        stays &= abs(own[w + i]) <= 1.0
+    own[:w], own[m - w :] = own[w], own[m - w - 1]
+    return stays
+
+
+@compiled
+@no_type_check
+def _directions(uv: np.ndarray, start: int, stop: int, cosine: np.ndarray, balance: np.ndarray) -> None:
+    """Components of the normals of a chain whose points may be some pixels apart, without signs, and the first of them minus the second."""
+    at = np.empty(stop - start)
+    at[0] = 0.0
+    for i in range(start + 1, stop):
+        du, dv = uv[i, 0] - uv[i - 1, 0], uv[i, 1] - uv[i - 1, 1]
+        at[i - start] = at[i - start - 1] + np.sqrt(du * du + dv * dv)
+    a = b = 0
+    last = stop - start - 1
+    for i in range(last + 1):
+        while at[a] < min(at[i], at[last] - _AROUND) - _AROUND:
+            a += 1
+        while b < last and at[b + 1] <= max(at[i], _AROUND) + _AROUND:
+            b += 1
+        du, dv = abs(uv[start + b, 0] - uv[start + a, 0]), abs(uv[start + b, 1] - uv[start + a, 1])
+        length = max(np.sqrt(du * du + dv * dv), 1e-9)
+        cosine[start + i, 0], cosine[start + i, 1] = dv / length, du / length
+        balance[start + i] = (dv - du) / length
+
+
+@compiled
+@no_type_check
+def whole_lines(uv: np.ndarray, chain: np.ndarray, spread_px2: np.ndarray) -> tuple:
     """Where the chains that were found cross whole rows or columns; their points may be some pixels apart.
+
+    Parameters
+    ----------
+    spread_px2 : (n,)   variance of the smoothed profile along the row or column in which a point was found
 
     Returns
     -------
-    points, starts, widths as seen along the row or column, direction of the row or column
+    points, starts
+    along : (m, 2)   direction of the row or column of each point
+    stretch : (m,)   square of the length along it of what is one pixel long across the stripe
+    wide_px2 : (m,)   variance across the stripe, without the smoothing
     """
     starts = starts_of(chain)
     n = len(uv)
-    balance, cosine, at = np.empty(n), np.empty((n, 2)), np.empty(n)
+    most = int(2 * n + 2 * len(starts))
+    points, after, part = np.empty((most, 2)), np.empty(most, np.int64), np.empty(most)
+    along, stretch, wide = np.zeros((most, 2)), np.empty(most), np.empty(most)
+    edges, kinds = np.zeros(n + len(starts), np.int64), np.empty(n + len(starts), np.bool_)
+    balance, cosine, slope = np.empty(n), np.empty((n, 2)), np.empty(n)
+    m = pieces = 0
     for c in range(len(starts) - 1):
-        a = b = starts[c]
-        last = starts[c + 1] - 1
-        at[a] = 0.0
-        for i in range(starts[c] + 1, starts[c + 1]):
-            du, dv = uv[i, 0] - uv[i - 1, 0], uv[i, 1] - uv[i - 1, 1]
-            at[i] = at[i - 1] + np.sqrt(du * du + dv * dv)
-        for i in range(starts[c], starts[c + 1]):
-            while at[a] < min(at[i], at[last] - _AROUND_PX) - _AROUND_PX:
-                a += 1
-            while b < last and at[b + 1] <= max(at[i], _AROUND_PX) + _AROUND_PX:
-                b += 1
-            du, dv = abs(uv[b, 0] - uv[a, 0]), abs(uv[b, 1] - uv[a, 1])
-            length = max(np.sqrt(du * du + dv * dv), 1e-9)
-            cosine[i, 0], cosine[i, 1] = dv / length, du / length
-            balance[i] = cosine[i, 0] - cosine[i, 1]
-    points, edges, steep, after, _ = _crossings(uv, starts, balance)
-    along, wide = np.zeros((len(points), 2)), np.empty(len(points))
-    for c in range(len(edges) - 1):
-        k = 0 if steep[c] else 1
-        for j in range(edges[c], edges[c + 1]):
-            along[j, k], wide[j] = 1.0, width_px / max(cosine[after[j], k], 0.5)
-    return points, edges, wide, along
+        start, stop, first, before = starts[c], starts[c + 1], m, pieces
+        rows = True
+        for i in range(start, stop):
+            rows &= uv[i, 1] == np.floor(uv[i, 1])
+        own = 0 if rows else 1
+        if _slopes(uv, start, stop, own, slope):
+            m, pieces = m + stop - start, pieces + 1
+            edges[pieces] = m
+            points[first:m] = uv[start:stop]
+            for i in range(stop - start):
+                square = 1.0 + slope[start + i] * slope[start + i]
+                along[first + i, own], stretch[first + i] = 1.0, square
+                wide[first + i] = spread_px2[start + i] / square - 1.0
+            continue
+        _directions(uv, start, stop, cosine, balance)
+        m, pieces = _crossings(uv, start, stop, balance, points, after, part, edges, kinds, pieces)
+        for piece in range(before, pieces):
+            k = 0 if kinds[piece] else 1
+            for j in range(edges[piece], edges[piece + 1]):
+                i = after[j]
+                along[j, k], stretch[j] = 1.0, 1.0 / max(cosine[i, k] * cosine[i, k], 0.25)
+                wide[j] = spread_px2[i] * cosine[i, own] * cosine[i, own] - 1.0
+    return points[:m], edges[: pieces + 1], along[:m], stretch[:m], wide[:m]
 
 
 @compiled

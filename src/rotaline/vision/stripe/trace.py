@@ -12,7 +12,7 @@ from rotaline.vision.stripe.trace_kernels import begin, follow, follow_tops, hal
 
 SHORTEST = 4  # points of a piece
 _WIDER = 1.5
-_SIMPLE_PX = (0.75, 2.2)  # widths that the profile two pixels from its top tells
+SIMPLE_PX = (0.75, 2.2)  # widths that the profile two pixels from its top tells
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def trace_stripe(found: FoundStripe, plane: Plane, least: int) -> Trace | None:
     uv, coarse = found.uv, bool((found.scale_px > 1.0).any())
     if found.clear:
         uv, starts, width, normal, known = follow_tops(
-            uv, found.chain, found.spread_px2, *_SIMPLE_PX, max(SHORTEST, least // 2)
+            uv, found.chain, found.spread_px2, *SIMPLE_PX, max(SHORTEST, least // 2)
         )
         if known:
             return _long(uv, starts, width, normal, least)

@@ -116,7 +116,7 @@ def test_rows_and_columns_are_chosen_by_lengths():
     by_columns = np.concatenate([by_rows[:60], np.column_stack([u, 60.0 + 0.5 * (u - 50.0)])])
     begin = []
     for chain in (by_rows, by_columns):
-        uv, starts, _, along = whole_lines(chain, np.zeros(len(chain), dtype=np.int64), 1.5)
+        uv, starts, along, *_ = whole_lines(chain, np.zeros(len(chain), dtype=np.int64), np.full(len(chain), 3.0))
         np.testing.assert_array_equal(along[starts[:-1]], [[1.0, 0.0], [0.0, 1.0]])
         begin.append(uv[starts[1], 0])
     assert 50.0 < begin[0] == pytest.approx(begin[1], abs=2.0)
