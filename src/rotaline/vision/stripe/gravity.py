@@ -15,7 +15,7 @@ def measure_on_lines(found: FoundStripe, plane: Plane) -> Measured | None:
 
     None where there is no point, or where a chain was found in a smaller image, which says less where the stripe is: then it is to be traced.
     """
-    if len(found.uv) == 0 or (found.scale_px > 1.0).any():
+    if len(found.uv) == 0 or (not found.clear and (found.scale_px > 1.0).any()):
         return None
     value, source = plane.value, plane.source
     uv, starts, width, along, normal, shift, u, wide, height, noise, floor, saturated = measure_found(

@@ -60,7 +60,7 @@ def read_lines(
     limit : sources from here on are clipped
     size : (width, height)
     along : (n, 2)   direction of the row or column
-    width_px : (n,)   of the stripe along it: the strips reach 3.5 of it and 4 px to both sides
+    width_px : (n,)   of the stripe along it: the strips reach 3.5 of it and 5.5 px to both sides
 
     Returns
     -------

@@ -12,7 +12,9 @@ from rotaline.vision.stripe.centre_kernels import subtract_sides, weighted_centr
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.direction_kernels import local_lines
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
+from rotaline.vision.stripe.find import find
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
+from rotaline.vision.stripe.gravity import measure_on_lines
 from rotaline.vision.stripe.gravity_kernels import line_normals
 from rotaline.vision.stripe.judge_kernels import sound_ends
 from rotaline.vision.stripe.measure_kernels import best_centres
@@ -121,6 +123,38 @@ def test_rows_and_columns_are_chosen_by_lengths():
         begin.append(uv[starts[1], 0])
     assert 50.0 < begin[0] == pytest.approx(begin[1], abs=2.0)
     assert begin[0] < 60.0
+
+
+@pytest.mark.parametrize("steep", [False, True])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_chains_on_whole_lines_stay_as_they_were_found(steep, sense):
+    """A chain without a gap is taken as it is; one with a gap is crossed with the lines, which gives the same points again and one in the gap."""
+    t = np.arange(200.0)
+    place, line = 80.0 + 0.5 * t + 3.0 * np.sin(t / 20.0), 300.0 + sense * t
+    chain = np.column_stack([place, line] if steep else [line, place])
+    some = t != 70
+    number, spread = np.zeros(200, dtype=np.int64), np.full(200, 4.0)
+    uv, starts, along, stretch, wide = whole_lines(chain, number, spread)
+    crossed, edges, lines, length, width = whole_lines(chain[some], number[some], spread[some])
+    np.testing.assert_array_equal(starts, edges)
+    np.testing.assert_array_equal(along, lines)
+    np.testing.assert_array_equal(uv, chain)
+    np.testing.assert_allclose(crossed[some], chain[some], atol=1e-9)
+    np.testing.assert_allclose(stretch, length, rtol=0.03)
+    np.testing.assert_allclose(wide, width, atol=0.1)
+
+
+def test_grey_gravity_from_the_tops_is_that_from_a_bell():
+    image = render_stripe(replace(BASE, sigma_px=1.2), np.random.default_rng(5))
+    found, plane = find(image, None, StripeOptions(method="gray-gravity"))
+    assert found.clear
+    from_tops, from_bell = measure_on_lines(found, plane), measure_on_lines(replace(found, clear=False), plane)
+    assert from_tops is not None
+    assert from_bell is not None
+    np.testing.assert_array_equal(from_tops.trace.uv, from_bell.trace.uv)
+    np.testing.assert_allclose(from_tops.trace.width_px, from_bell.trace.width_px, rtol=0.02)
+    u_px = from_bell.centres.u_px * from_bell.noise
+    assert np.sqrt(np.mean(((from_tops.centres.shift_px - from_bell.centres.shift_px) / u_px) ** 2)) < 0.3
 
 
 @pytest.mark.parametrize("steep", [False, True])
