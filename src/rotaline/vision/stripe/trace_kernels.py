@@ -283,7 +283,9 @@ def follow(
 def follow_tops(
     uv: np.ndarray, chain: np.ndarray, spread_px2: np.ndarray, least_px: float, most_px: float, least: int
 ) -> tuple:
-    """The same for the tops of the smoothed image, without another look at it.
+    """As :func:`follow` does with centroids, with the tops of the smoothed image, without another look at it.
+
+    Points stay whatever their width, and ends as they are: the spread of single points scatters, and no jump draws a top aside.
 
     Parameters
     ----------
@@ -307,7 +309,7 @@ def follow_tops(
             measured[i] = np.sqrt(
                 min(max(variance, _LEAST_WIDTH_PX * _LEAST_WIDTH_PX), _MOST_WIDTH_PX * _MOST_WIDTH_PX)
             )
-    points, edges, width, normal = _curves(uv.copy(), tangent, measured, good, starts, least, False, True)
+    points, edges, width, normal = _curves(uv, tangent, measured, good, starts, least, False, True)
     known = True
     for w in width:
         known &= least_px <= w <= most_px
@@ -326,7 +328,10 @@ def _curves(
     straight: bool,
     join: bool,
 ) -> tuple:
-    """The end of :func:`follow`, from the points where they have moved to: those that are good are to stay; ``moved`` changes."""
+    """The end of :func:`follow`, from the points where they have moved to; those that are good are to stay.
+
+    Where ends are to go ``straight`` on at jumps, ``moved`` changes.
+    """
     index, edges = break_chains(moved, tangent, good, starts, least)
     if straight:
         _straighten(moved, index, edges, measured)
