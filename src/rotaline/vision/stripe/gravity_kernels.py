@@ -14,7 +14,7 @@ _WINDOW = 6  # points on either side that settle the direction
 _FINE_PX = 0.05  # misfit of a line that is not worth a one-sided window
 _WIDTH_PX = 1.5  # of the stripe, to begin with
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.4, 40.0
-_LAG, _PAIRS = 3, 32  # points between strips whose pixels are compared; such pairs a chain
+_LAG, _PAIRS = 3, 64  # points between strips whose pixels are compared; such pairs a chain
 _NOISE_FROM = 3.3  # widths: pixels further out tell the noise
 _CORE = 1.5  # widths: a clipped pixel as near makes the point saturated
 
