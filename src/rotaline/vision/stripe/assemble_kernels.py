@@ -7,7 +7,7 @@ import numpy as np
 from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.explain_kernels import cover, left_over, too_wide
 from rotaline.vision.stripe.link_kernels import link
-from rotaline.vision.stripe.settle_kernels import choose, compete
+from rotaline.vision.stripe.settle_kernels import BESIDE, choose, compete
 
 _HALF, _UNIT, _TWO, _THREE, _FOUR = np.float32(0.5), np.float32(1.0), np.float32(2.0), np.float32(3.0), np.float32(4.0)
 _LEAST_PART, _MOST_PART = np.float32(0.02), np.float32(0.98)
@@ -39,7 +39,7 @@ def assemble(
     ----------
     n_tiles, n_steep, n_flat, height, order, light, where, what
         Of an image of h x w, as they come from :func:`rotaline.vision.stripe.find_kernels.candidates`; ``light`` loses what the chains explain,
-        and ``order`` its first part.
+        and ``order[2]`` becomes the tiles where some is left.
     points : (3, k)   int32; becomes line and place of the points, in order along each chain, and the candidates that they were; the line is the row
         of steep chains, the column of flat ones
     heights : (4, k)   float32; becomes their prominence, how high they are above what is dark around, what is to be added to the place to get to
@@ -52,7 +52,7 @@ def assemble(
     Returns
     -------
     n_chains, n_parts : int
-    n_left : int   tiles with light that no chain explains, in the first parts of ``order`` and ``light``; -1 if a chain is too wide for its size
+    n_left : int   tiles with light that no chain explains, in the first parts of ``order[2]`` and ``light``; -1 if a chain is too wide for its size
     chosen : tuple   what :func:`rotaline.vision.stripe.settle_kernels.choose` makes of them
     """
     rows, columns = height.shape
@@ -72,7 +72,7 @@ def assemble(
     for k in range(n_chains):
         steep[k], factor[k] = k < of_steep, 1
     n_parts = compete(
-        line, place, prominence, start, steep, factor, n_chains, h, w, parts, np.empty((0, 0), np.float32)
+        line, place, prominence, start, steep, factor, n_chains, h, w, parts, np.empty((0, 0), np.float32), BESIDE
     )
     left = 0
     for p in range(n_parts):
@@ -81,7 +81,7 @@ def assemble(
     if left == 0:
         for p in range(n_parts):
             cover(line, place, parts[0, p], parts[1, p], steep[parts[2, p]], order[1], columns, h, w, light)
-        left = left_over(n_tiles, rows, columns, height.reshape(-1), order[0], order[1], light)
+        left = left_over(n_tiles, rows, columns, height.reshape(-1), order[0], order[1], light, order[2])
     chosen = choose(
         line, place, prominence, heights[2], heights[3], steep, factor, parts, n_parts, min_length_px, least
     )  # fmt: skip
@@ -107,6 +107,13 @@ def _tops(
     for k in range(first, last):
         between[k] = top[origin[k]]
         spread[k] = fall[origin[k]]
+    refine_tops(above, first, last, between, spread)
+
+
+@compiled
+@no_type_check
+def refine_tops(above: np.ndarray, first: int, last: int, between: np.ndarray, spread: np.ndarray) -> None:
+    """Turn ``spread``, the mean fall over two pixels, into the variance of the Gaussian that falls off like that."""
     for k in range(first, last):
         square = between[k] * between[k]
         part = min(max(_UNIT - spread[k] / above[k], _LEAST_PART), _MOST_PART)

@@ -24,16 +24,14 @@ DIM = 1.2  # limits; what is fainter is not looked at
 _BESIDE = 5  # px on both sides of a chain, across it, that it explains
 _BEYOND = 4  # px beyond its ends
 _FALL = 3.7  # px^2; the fall over 3 px across tells the width: this for a stripe that the half size would suit as well
-_WING = 0.05  # of the height of a chain; what is fainter beside it is taken for its foot
+WING = 0.05  # of the height of a chain; what is fainter beside it is taken for its foot
 _BORDER = 6  # px along the border of the image, where no smaller size has candidates
 _FEW = 2  # of every fourth pixel of a tile; a ridge that only a smaller size shows has more
 _ROW, _COLUMN = np.uint64(0xFF), np.uint64(0x0101010101010101)
-_EVEN, _PACK, _FOUR = (
-    np.uint64(0x0001000100010001),
-    np.uint64(0x0001000200040008),
-    np.uint64(15),
-)  # four bits of a word side by side
-_ONE, _TWO, _EIGHT = np.uint64(1), np.uint64(2), np.uint64(8)
+# four bits of a word side by side
+_EVEN, _PACK, _FOUR = np.uint64(0x0001000100010001), np.uint64(0x0001000200040008), np.uint64(15)
+_ONE, _TWO, _EIGHT, _SIXTEEN = np.uint64(1), np.uint64(2), np.uint64(8), np.uint64(16)
+_SEVEN_BITS, _SPREAD = np.uint64(0x7F), np.uint64(0x0000040810204081)
 
 
 @compiled
@@ -73,7 +71,7 @@ def highest(smooth: np.ndarray, fold: np.ndarray) -> float:
 @no_type_check
 def bright_limit(low: float, height: float, dim: float) -> float:
     """What is higher than this, in a tile that is so high above what is dark around, is bright."""
-    return low + max(np.float32(dim), np.float32(_WING) * height) if height > dim else np.inf
+    return low + max(np.float32(dim), np.float32(WING) * height) if height > dim else np.inf
 
 
 @compiled
@@ -86,8 +84,21 @@ def bright_pixels(words: np.ndarray, top: int, left: int, h: int, w: int) -> int
     bits = np.uint64(0)
     for i in range(TILE // 2):
         for part in range(2):
-            four = ((words[4 * i + part] >> _TWO & _EVEN) * _PACK) >> np.uint64(48) & _FOUR
-            bits |= four << np.uint64(8 * i + 4 * part)
+            bits |= even_bytes(words[4 * i + part] >> _TWO) << np.uint64(8 * i + 4 * part)
+    return off_border(bits, top, left, h, w)
+
+
+@compiled
+@no_type_check
+def even_bytes(word: int) -> int:
+    """The lowest bits of bytes 0, 2, 4 and 6, side by side."""
+    return ((word & _EVEN) * _PACK) >> np.uint64(48) & _FOUR
+
+
+@compiled
+@no_type_check
+def off_border(bits: int, top: int, left: int, h: int, w: int) -> int:
+    """The same bits without those of pixels near the border of the image."""
     if bits and not (_BORDER <= top <= h - _BORDER - TILE and _BORDER <= left <= w - _BORDER - TILE):
         for i in range(TILE // 2):
             if not _BORDER <= top + 2 * i < h - _BORDER:
@@ -138,29 +149,37 @@ def cover(
     w: int,
     light: np.ndarray,
 ) -> None:
-    """Take the pixels beside the points of a chain, in its gaps and beyond its ends out of the bright ones."""
-    lines, places = (h, w) if steep else (w, h)
-    half = _BESIDE
+    """Take the pixels beside the points of a chain, in its gaps and beyond its ends out of the bright ones.
+
+    ``number`` goes on for two rows of tiles, and ``light`` for one tile, which stands for all that have no number.
+    """
+    n_lines, n_places = (h, w) if steep else (w, h)
+    along, across = (columns, 1) if steep else (1, columns)  # tiles from one to the next
+    beside, half = np.uint64(across), _BESIDE
     for k in range(begin, end):
         if (k - begin) % 8 == 0:
             slope = _slope(line, place, k, begin, end)
             half = int(np.ceil(_BESIDE * np.sqrt(1.0 + slope * slope)))
         first = max(line[k] - (_BEYOND if k == begin else 0), 0)
-        last = min(line[k + 1] if k + 1 < end else line[k] + _BEYOND + 1, lines)
-        low, high = max(place[k] - half, 0), min(place[k] + half, places - 1)
-        for at in range(first + first % 2, last, 2):
-            for t in range(low // TILE, high // TILE + 1):
-                tile = number[at // TILE * columns + t] if steep else number[t * columns + at // TILE]
-                if tile < 0:
-                    continue
-                i, j = (max(low - t * TILE, 0) + 1) // 2, min(high - t * TILE, TILE - 1) // 2
-                across, along = np.uint64(i), np.uint64(at % TILE // 2)
-                if steep:
-                    run = (_TWO << np.uint64(j - i)) - _ONE if j >= i else np.uint64(0)
-                    light[tile] &= ~(run << (_EIGHT * along + across))
-                else:
-                    run = _COLUMN >> np.uint64(8 * (7 - j + i)) if j >= i else np.uint64(0)
-                    light[tile] &= ~(run << (_EIGHT * across + along))
+        last = min(line[k + 1] if k + 1 < end else line[k] + _BEYOND + 1, n_lines)
+        low, high = (max(place[k] - half, 0) + 1) >> 1, min(place[k] + half, n_places - 1) >> 1
+        begins, n = np.uint64(low & 7), np.uint64(max(high - low + 1, 0))
+        run = (_ONE << n) - _ONE << begins  # cells of this tile and the next ones
+        for at in range(first + (first & 1), last, 2):
+            tile, i = np.uint64((at >> 4) * along + (low >> 3) * across), np.uint64(at >> 1 & 7)
+            light[number[tile]] &= ~_in_tile(run, i, steep)
+            light[number[tile + beside]] &= ~_in_tile(run >> _EIGHT, i, steep)
+            if run >> _SIXTEEN:
+                light[number[tile + _TWO * beside]] &= ~_in_tile(run >> _SIXTEEN, i, steep)
+
+
+@compiled
+@no_type_check
+def _in_tile(run: int, i: int, steep: bool) -> int:
+    """The bits of a tile that are a run of eight bits in its row i (steep), or in its column i."""
+    own = run & _ROW
+    # seven bits are spread to every eighth place at once; they stay apart
+    return own << (_EIGHT * i) if steep else (((own & _SEVEN_BITS) * _SPREAD | own << np.uint64(49)) & _COLUMN) << i
 
 
 @compiled
@@ -173,11 +192,12 @@ def left_over(
     queue: np.ndarray,
     number: np.ndarray,
     light: np.ndarray,
+    left: np.ndarray,
 ) -> int:
-    """Move the tiles with bright pixels that are more than the foot of a stripe to the front of the queue; returns how many."""
+    """Put the tiles with bright pixels that are more than the foot of a stripe into ``left``, their light to the front; returns how many."""
     n = 0
     for k in range(n_tiles):
-        if _count(light[k]) < _FEW:
+        if count_bits(light[k]) < _FEW:
             continue
         a, b = queue[k] // columns, queue[k] % columns
         highest = np.float32(0.0)
@@ -185,8 +205,8 @@ def left_over(
             for j in range(max(b - 1, 0), min(b + 2, columns)):
                 if number[i * columns + j] >= 0:
                     highest = max(highest, height[number[i * columns + j]])
-        if height[k] >= _WING * highest:
-            queue[n], light[n] = queue[k], light[k]
+        if height[k] >= WING * highest:
+            left[n], light[n] = queue[k], light[k]
             n += 1
     return n
 
@@ -212,7 +232,7 @@ def ridges_beside(
 
 @compiled
 @no_type_check
-def _count(bits: int) -> int:
+def count_bits(bits: int) -> int:
     """Number of bits that are set."""
     n = 0
     while bits:

@@ -1,9 +1,10 @@
 """Where the stripe is, at the speed of the memory: what :mod:`rotaline.vision.stripe.ridges` finds, without working on every pixel.
 
 One sweep over the image takes the highest value of each column in tiles of 16 x 16 pixels. Only tiles in which two neighbouring columns stand out
-from the darkest ones around by what the faintest ridge would are searched, and those next to them that a chain runs into. The noise, where it sets
-that limit, is measured in some tiles only, and in more of them where no chain is clear; tiles that are let in by chance cost time and change
-nothing.
+from the darkest ones around by what the faintest ridge would are looked at. Where these are few, chains are grown along the ridges in them
+(:mod:`rotaline.vision.stripe.grow_kernels`) until no light is left. Where that does not explain them, or they are many, they are searched, and those
+next to them that a chain runs into. The noise, where it sets the limit, is measured in some tiles only, and in more of them where no chain is clear;
+tiles that are let in by chance cost time and change nothing.
 
 The half and the quarter size of the image are looked at where the full size leaves something unexplained: a chain that is wide, or something
 bright beside the chains that is a ridge in the half or quarter size of its tile. In a frame with a thin stripe in the dark that never happens.
@@ -12,6 +13,7 @@ bright beside the chains that is a ridge in the half or quarter size of its tile
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,11 +31,12 @@ from rotaline.vision.stripe.channels import (
     steps_of,
 )
 from rotaline.vision.stripe.explain_kernels import ridges_beside
-from rotaline.vision.stripe.find_kernels import CAREFUL, EVERYWHERE, QUICK, candidates
+from rotaline.vision.stripe.find_kernels import CAREFUL, EVERYWHERE, QUICK, candidates, look
 from rotaline.vision.stripe.found import FoundStripe
+from rotaline.vision.stripe.grow_kernels import grow
 from rotaline.vision.stripe.options import StripeOptions
 from rotaline.vision.stripe.plane import Plane
-from rotaline.vision.stripe.settle_kernels import choose, compete
+from rotaline.vision.stripe.settle_kernels import BESIDE, choose, compete
 from rotaline.vision.stripe.signal import CLEAR, score_names
 from rotaline.vision.stripe.tile_kernels import TILE, half_size
 
@@ -42,6 +45,7 @@ _LEVELS = 3
 _LEAST_SIZE = 16  # px; of a smaller image no half is made
 _LEAST_SEARCHED = 7  # px
 _CLEAR = 1.5  # limits: to a stripe as prominent the exact limit, and what stands out by less, does not matter
+_LINES_OF_TILES = 4  # rows and columns of tiles; what is bright in more of them is no stripe in the dark
 _FEW_LEFT = 24  # tiles; where more are not explained, the whole image is looked at
 
 
@@ -97,10 +101,11 @@ class _Space:
         self.zeros = np.zeros(shape, dtype=np.float32)
         self.height = np.zeros((rows, columns), dtype=np.float32)
         self.order, self.light = (
-            np.zeros((2, rows * columns), dtype=np.int32),
-            np.zeros(rows * columns, dtype=np.uint64),
+            np.zeros((3, (rows + 2) * columns + 2), dtype=np.int32),
+            np.zeros(rows * columns + 1, dtype=np.uint64),
         )
-        self.more_room(4096)
+        self.stands = np.zeros((2, rows * columns), dtype=np.float32)
+        self.more_room(max(4096, 2 * sum(shape)))
 
     def more_room(self, n: int) -> None:
         """Make room for ``n`` candidates of each kind."""
@@ -215,25 +220,41 @@ def _search(
         image, (h, w) = np.zeros((_LEAST_SEARCHED, _LEAST_SEARCHED), dtype=np.uint8), (_LEAST_SEARCHED,) * 2
     values, space = _readable(image), _spaces.of(h, w)
     for effort in (EVERYWHERE,) if everywhere else (QUICK, CAREFUL):
+        n_queue, least_steep, least_flat, by_noise = look(
+            values, scale, threshold, floor, rounding, effort, space.order[0], space.stands
+        )
+        least, smaller = max(least_steep, least_flat), min(least_steep, least_flat)
+        if effort == QUICK and n_queue <= _LINES_OF_TILES * sum(space.height.shape):
+            n_chains, n_parts, left, chosen = grow(
+                values, scale, n_queue, least_steep, least_flat, space.stands, space.height, space.order, space.light,
+                space.points, space.heights, space.chains, space.parts, min_length_px,
+            )  # fmt: skip
+            sure = by_noise < floor or chosen[-2] > _CLEAR * least
+            if sure and _explained(values, scale, space, left, smaller):
+                return partial(_chains_in, space, n_chains, n_parts), chosen, True, least
         n_tiles = -1
         while n_tiles < 0:
-            n_tiles, n_steep, n_flat, least, least_flat, by_noise = candidates(
-                values, scale, threshold, floor, rounding, effort, space.height, space.order, space.light, space.where,
+            n_tiles, n_steep, n_flat = candidates(
+                values, scale, n_queue, least_steep, least_flat, space.height, space.order, space.light, space.where,
                 space.what,
             )  # fmt: skip
             if n_tiles < 0:
                 space.more_room(4 * space.where.shape[1])
         n_chains, n_parts, left, chosen = assemble(
             n_tiles, n_steep, n_flat, h, w, space.height, space.order, space.light, space.where, space.what,
-            space.points, space.heights, space.chains, space.parts, min_length_px, max(least, least_flat),
+            space.points, space.heights, space.chains, space.parts, min_length_px, least,
         )  # fmt: skip
-        if by_noise < floor or chosen[-2] > _CLEAR * max(least, least_flat):
+        if by_noise < floor or chosen[-2] > _CLEAR * least:
             break
-    explained = left == 0
-    if 0 < left <= _FEW_LEFT:
-        tiles, light = space.order[0, :left], space.light[:left]
-        explained = not ridges_beside(values, scale, tiles, light, space.height.shape[1], min(least, least_flat))
-    return lambda: _chains_in(space, n_chains, n_parts), chosen, explained, max(least, least_flat)
+    explained = _explained(values, scale, space, left, smaller)
+    return partial(_chains_in, space, n_chains, n_parts), chosen, explained, least
+
+
+def _explained(image: Values, scale: float, space: _Space, left: int, least: float) -> bool:
+    """Whether no smaller size of an image needs to be looked at because of the tiles in which light is left."""
+    if left <= 0 or left > _FEW_LEFT:
+        return left == 0
+    return not ridges_beside(image, scale, space.order[2, :left], space.light[:left], space.height.shape[1], least)
 
 
 def _chains_in(space: _Space, n_chains: int, n_parts: int) -> Chains:
@@ -284,6 +305,6 @@ def _with_smaller_sizes(
     factor = np.concatenate(factors)
     parts = np.empty((3, len(line)), dtype=np.int32)
     n_parts = compete(
-        line, place, prominence, start, steep, factor, len(factor), *shape, parts, _spaces.of(*shape).zeros
+        line, place, prominence, start, steep, factor, len(factor), *shape, parts, _spaces.of(*shape).zeros, BESIDE
     )
     return Chains(line, place, prominence, between, spread, start, steep, factor, parts[:, :n_parts].copy())

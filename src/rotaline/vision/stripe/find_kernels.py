@@ -16,6 +16,7 @@ from rotaline.vision.stripe.tile_kernels import (
     bright_tiles,
     first_byte,
     inside,
+    number_tiles,
     smooth_border_tile,
     smooth_rows,
     smooth_tile,
@@ -36,20 +37,17 @@ _PER_TILE = 64  # candidates at most: they lie four pixels apart
 
 @compiled
 @no_type_check
-def candidates(
+def look(
     image: np.ndarray,
     scale: float,
     threshold: float,
     floor: float,
     rounding: float,
     effort: int,
-    height: np.ndarray,
-    order: np.ndarray,
-    light: np.ndarray,
-    where: np.ndarray,
-    what: np.ndarray,
+    queue: np.ndarray,
+    heights: np.ndarray,
 ) -> tuple:
-    """Candidates of steep and of flat chains in one image.
+    """Where in one image ridges can be, and how far they have to stand out.
 
     Parameters
     ----------
@@ -59,24 +57,18 @@ def candidates(
     floor : float   least prominence, grey values
     rounding : float   error of the grey values by which a ridge may stand out less in them
     effort : int   QUICK; CAREFUL, with more tiles, for stripes near the limit that the noise sets; or EVERYWHERE, in all tiles
-    height : (rows, columns)   float32; the first ``n_tiles`` values become the heights of the tiles that were searched
-    order : (2, rows * columns)   int32; becomes the tiles that were searched, and for each tile when that was (-1 where it was not)
-    light : (rows * columns,)   uint64; becomes the bright pixels of the tiles that were searched
-    where : (4, m)   int32; becomes line and place of steep candidates, then of flat ones; the line is the row of steep ones, the column of flat ones
-    what : (8, m)   float32; becomes prominence, height above what is dark around, place of the top between the pixels, and mean fall over two
-        pixels, of steep candidates, then of flat ones
+    queue : (rows * columns or more,)   int32; becomes the tiles that are to be searched
+    heights : (2, rows * columns)   float32; becomes how high each of these is above the darkest one around, and that one, in steps; not set if all
+        tiles are searched
 
     Returns
     -------
-    n_tiles : int   tiles that were searched; negative if there is no room for their candidates
-    n_steep, n_flat : int   candidates
-    least_steep, least_flat : float   least prominence
+    n_queue : int   how many these are
+    least_steep, least_flat : float   least prominence of steep and of flat candidates
     by_noise : float   what it would be by the noise alone
     """
     h, w = image.shape
-    queue, number = order[0], order[1]
-    rows, columns = height.shape
-    height = height.reshape(-1)
+    rows, columns = (h + TILE - 1) // TILE, (w + TILE - 1) // TILE
     tops, lows = np.empty((rows, columns), image.dtype), np.empty((rows, columns), image.dtype)
     n_tiles = rows * columns
     half, smooth = np.zeros(SMOOTH_SIZE + 6, np.float32), np.empty(SMOOTH_SIZE, np.float32)
@@ -90,22 +82,60 @@ def candidates(
             queue[k] = k
     else:
         least = (_RISE * min(limits[0], limits[1]) + _LUCK * by_noise - 0.25 * rounding) / scale
-        n_queue = bright_tiles(tops, lows, least, queue)
+        n_queue = bright_tiles(tops, lows, least, queue, heights)
         if effort == QUICK and n_queue > _CROWD * n_tiles and by_noise >= floor:
-            by_chance = n_queue - bright_tiles(tops, lows, _HIGHER * least, queue)
-            n_queue = n_queue - by_chance if 2 * by_chance > n_queue else bright_tiles(tops, lows, least, queue)
-    for k in range(n_tiles):
-        number[k] = -1
-    for k in range(n_queue):
-        number[queue[k]] = k
+            by_chance = n_queue - bright_tiles(tops, lows, _HIGHER * least, queue, heights)
+            n_queue = (
+                n_queue - by_chance if 2 * by_chance > n_queue else bright_tiles(tops, lows, least, queue, heights)
+            )
+    return n_queue, limits[0], limits[1], by_noise
+
+
+@compiled
+@no_type_check
+def candidates(
+    image: np.ndarray,
+    scale: float,
+    n_queue: int,
+    least_steep: float,
+    least_flat: float,
+    height: np.ndarray,
+    order: np.ndarray,
+    light: np.ndarray,
+    where: np.ndarray,
+    what: np.ndarray,
+) -> tuple:
+    """Candidates of steep and of flat chains in one image.
+
+    Parameters
+    ----------
+    image, scale, n_queue, least_steep, least_flat : of :func:`look`, which has put the tiles into ``order[0]``
+    height : (rows, columns)   float32; the first ``n_tiles`` values become the heights of the tiles that were searched
+    order : (3, (rows + 2) * columns + 2)   int32; becomes the tiles that were searched, and for each tile when that was (-1 where it was not)
+    light : (rows * columns + 1,)   uint64; becomes the bright pixels of the tiles that were searched
+    where : (4, m)   int32; becomes line and place of steep candidates, then of flat ones; the line is the row of steep ones, the column of flat ones
+    what : (8, m)   float32; becomes prominence, height above what is dark around, place of the top between the pixels, and mean fall over two
+        pixels, of steep candidates, then of flat ones
+
+    Returns
+    -------
+    n_tiles : int   tiles that were searched; negative if there is no room for their candidates
+    n_steep, n_flat : int   candidates
+    """
+    h, w = image.shape
+    queue, number = order[0], order[1]
+    rows, columns = height.shape
+    height = height.reshape(-1)
+    half, smooth = np.zeros(SMOOTH_SIZE + 6, np.float32), np.empty(SMOOTH_SIZE, np.float32)
+    number_tiles(queue, n_queue, number)
     peaks = np.empty((TILE, TILE), np.uint8)
     words = peaks.reshape(-1).view(np.uint64)
-    dim = DIM * min(limits[0], limits[1])
+    dim = DIM * min(least_steep, least_flat)
     count = np.zeros(2, np.int64)
     done = 0
     while done < n_queue:
         if max(count[0], count[1]) + _PER_TILE > where.shape[1]:
-            return -1, 0, 0, 0.0, 0.0, 0.0
+            return -1, 0, 0
         a, b = queue[done] // columns, queue[done] % columns
         if inside(a, b, h, w):
             smooth_tile(image, scale, a, b, half, smooth)
@@ -113,7 +143,7 @@ def candidates(
             smooth_border_tile(image, scale, a, b, half, smooth)
         low = lowest(smooth)
         height[done] = highest(smooth, half) - low
-        tile_peaks(smooth, limits[0], limits[1], bright_limit(low, height[done], dim), peaks)
+        tile_peaks(smooth, least_steep, least_flat, bright_limit(low, height[done], dim), peaks)
         light[done] = bright_pixels(words, a * TILE, b * TILE, h, w)
         kinds = np.uint64(0)
         for k in range(len(words)):
@@ -125,7 +155,7 @@ def candidates(
         if near:
             n_queue = _neighbours(near, a, b, rows, columns, number, queue, n_queue)
         done += 1
-    return n_queue, count[0], count[1], limits[0], limits[1], by_noise
+    return n_queue, count[0], count[1]
 
 
 @compiled

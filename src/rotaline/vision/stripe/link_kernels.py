@@ -6,8 +6,8 @@ import numpy as np
 
 from rotaline.geometry.compiled import compiled
 
-_SHORTEST = 4  # points of a chain
-_GAPS = 3  # lines from one point to the next, at most; the place may differ by one pixel more
+SHORTEST = 4  # points of a chain
+GAPS = 3  # lines from one point to the next, at most; the place may differ by one pixel more
 _ONE, _EIGHT = np.uint64(1), np.uint64(8)
 
 
@@ -35,7 +35,7 @@ def link(
     number of chains.
     """
     # unsigned numbers never count from the end, which makes faster loops
-    first = np.zeros(n_lines + _GAPS + 2, np.uint32)
+    first = np.zeros(n_lines + GAPS + 2, np.uint32)
     for k in range(n):
         first[np.uint64(line[k] + 1)] += np.uint32(1)
     total = np.uint32(0)
@@ -57,7 +57,7 @@ def link(
     successor, linked = np.full(n, n, np.uint32), np.zeros(n, np.bool_)
     unlinked = np.empty(n, np.uint32)
     left = n
-    for gap in range(1, _GAPS + 1):
+    for gap in range(1, GAPS + 1):
         number, left = left, 0
         for q in range(number):
             k = np.uint64(q) if gap == 1 else np.uint64(unlinked[q])
@@ -86,7 +86,7 @@ def link(
             out_prominence[q], out_above[q], out_origin[q] = prominence[r], above[r], order[m]
             to += 1
             m = np.uint64(successor[m])
-        if to - begin < _SHORTEST:
+        if to - begin < SHORTEST:
             to = begin
         else:
             n_chains += 1

@@ -6,6 +6,7 @@ import numpy as np
 
 from rotaline.geometry.compiled import compiled
 
+BESIDE = 4.5  # px on both sides of its points that a chain covers
 _MAX_CHAINS = 400
 _SHORTEST = 4  # points of a chain
 _CROWD = 20  # chains; a stripe alone makes fewer
@@ -27,6 +28,7 @@ def compete(
     w: int,
     parts: np.ndarray,
     finest: np.ndarray,
+    beside: float,
 ) -> int:
     """Give every pixel of an image of h x w to one of n chains only, the chain with the larger sum of prominence first.
 
@@ -40,6 +42,7 @@ def compete(
     steep, factor : (n,)   kind of each chain, and px of the full image for one of its own
     parts : (3, m)   becomes the parts that stay: where they begin and end, and the chains they are of
     finest : (h, w)   float32, zeros; zeros again afterwards; not used where all chains are of the full size
+    beside : float   px on both sides of its points that a chain of the full size covers
 
     Returns
     -------
@@ -56,7 +59,7 @@ def compete(
         coarse |= factor[c] > 1
         room += (line[start[c + 1] - 1] - line[start[c]] + 1) * factor[c]
     if coarse:
-        order = _coarse_back(line, place, prominence, start, steep, factor, strength, order, finest)
+        order = _coarse_back(line, place, prominence, start, steep, factor, strength, order, finest, beside)
     newest, before = np.zeros(h + w, np.uint32), np.empty(room + 1, np.uint32)
     low, high = np.empty(room + 1, np.int32), np.empty(room + 1, np.int32)
     n_runs, m = 1, 0
@@ -77,8 +80,8 @@ def compete(
             free = k + 1
         for p in range(first, m):
             n_runs = _cover(
-                line, place, parts[0, p], parts[1, p], size, 0 if is_steep else h, h if is_steep else w, newest,
-                before, low, high, n_runs,
+                line, place, parts[0, p], parts[1, p], size, beside, 0 if is_steep else h, h if is_steep else w,
+                newest, before, low, high, n_runs,
             )  # fmt: skip
     return m
 
@@ -102,6 +105,7 @@ def _cover(
     begin: int,
     end: int,
     factor: int,
+    beside: float,
     offset: int,
     n_lines: int,
     newest: np.ndarray,
@@ -114,7 +118,7 @@ def _cover(
 
     ``offset`` is the place of line 0 in ``newest``, which counts rows first and then columns.
     """
-    first, last, half = _reach(line, begin, end, factor, n_lines)
+    first, last, half = _reach(line, begin, end, factor, beside, n_lines)
     run = np.uint64(n_runs)
     k = begin
     for at in range(first, last):
@@ -197,6 +201,7 @@ def _coarse_back(
     strength: np.ndarray,
     order: np.ndarray,
     finest: np.ndarray,
+    beside: float,
 ) -> np.ndarray:
     """The order with those chains last that cover finer ones which are clearly stronger together.
 
@@ -209,7 +214,7 @@ def _coarse_back(
             for i in range(len(order)):
                 c = order[i]
                 if factor[c] == scale:
-                    inside = _sum(line, place, start[c], start[c + 1], steep[c], scale, finest)
+                    inside = _sum(line, place, start[c], start[c + 1], steep[c], scale, beside, finest)
                     back[i] = inside > np.sqrt(scale) * strength[c]
         for c in order:
             if factor[c] == scale:
@@ -255,21 +260,28 @@ def _middle(line: np.ndarray, place: np.ndarray, k: int, end: int, factor: int, 
 
 @compiled
 @no_type_check
-def _reach(line: np.ndarray, begin: int, end: int, factor: int, n_lines: int) -> tuple[int, int, int]:
+def _reach(line: np.ndarray, begin: int, end: int, factor: int, beside: float, n_lines: int) -> tuple[int, int, int]:
     """First line of the full image that a chain covers, the first that it does not cover any more, and how far it covers to both sides."""
     first = line[begin] * factor + factor // 2
     last = line[end - 1] * factor + (factor - 1) // 2
-    return first, min(last, n_lines - 1) + 1, int(np.rint(2.5 * factor + 2.0))
+    return first, min(last, n_lines - 1) + 1, int(np.rint(2.5 * (factor - 1) + beside))
 
 
 @compiled
 @no_type_check
 def _sum(
-    line: np.ndarray, place: np.ndarray, begin: int, end: int, steep: bool, factor: int, field: np.ndarray
+    line: np.ndarray,
+    place: np.ndarray,
+    begin: int,
+    end: int,
+    steep: bool,
+    factor: int,
+    beside: float,
+    field: np.ndarray,
 ) -> float:
     """Sum over the pixels that a chain covers."""
     h, w = field.shape
-    first, last, half = _reach(line, begin, end, factor, h if steep else w)
+    first, last, half = _reach(line, begin, end, factor, beside, h if steep else w)
     k = begin
     total = 0.0
     for at in range(first, last):

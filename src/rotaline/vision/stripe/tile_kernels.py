@@ -75,8 +75,10 @@ def _row_extremes(
 
 @compiled
 @no_type_check
-def bright_tiles(tops: np.ndarray, lows: np.ndarray, least: float, queue: np.ndarray) -> int:
-    """Number the tiles in the queue whose highest value is more than ``least`` above the lowest of them and the eight around; returns how many.
+def bright_tiles(tops: np.ndarray, lows: np.ndarray, least: float, queue: np.ndarray, heights: np.ndarray) -> int:
+    """Put the tiles whose highest value is more than ``least`` above the lowest of them and the eight around into the queue; returns how many.
+
+    ``heights`` becomes how much it is, and the lowest value, of each tile in the queue.
 
     The last tiles come first: they have been read most recently.
     """
@@ -97,10 +99,23 @@ def bright_tiles(tops: np.ndarray, lows: np.ndarray, least: float, queue: np.nda
         for k in range(len(words)):
             rest = words[k]
             while rest:
-                queue[n] = a * columns + 8 * k + first_byte(rest)
+                b = np.uint64(8 * k + first_byte(rest))
                 rest &= rest - _U1
+                dark = min(low[b + _U1], min(low[b], low[b + _U2]))
+                queue[n] = a * columns + b
+                heights[0, n], heights[1, n] = tops[own, b] - dark, dark
                 n += 1
     return n
+
+
+@compiled
+@no_type_check
+def number_tiles(queue: np.ndarray, n: int, number: np.ndarray) -> None:
+    """Place of each tile in the queue of n, -1 of those that are not in it."""
+    for k in range(len(number)):
+        number[k] = -1
+    for k in range(n):
+        number[queue[k]] = k
 
 
 @compiled
@@ -135,8 +150,8 @@ def smooth_tile(image: np.ndarray, scale: float, a: int, b: int, half: np.ndarra
 
     The tile begins at ``smooth[FIRST]``; ``half`` is work space, with six numbers more than ``smooth``.
     """
-    _smooth_down(image, a * TILE - _ABOVE, b * TILE - _LEFT, 1, BLOCK_ROWS - 6, scale, half)
-    _smooth_across(half, SMOOTH_SIZE, smooth)
+    smooth_down(image, a * TILE - _ABOVE, b * TILE - _LEFT, 1, BLOCK_ROWS - 6, BLOCK_COLUMNS, scale, half)
+    smooth_across(half, SMOOTH_SIZE, smooth)
 
 
 @compiled
@@ -178,11 +193,11 @@ def smooth_rows(
     if h < BLOCK_ROWS or w < BLOCK_COLUMNS:
         block = np.empty((BLOCK_ROWS, BLOCK_COLUMNS), image.dtype)
         _mirrored_block(image, a, b, block)
-        _smooth_down(block, 2, 0, 3, 7, scale, half)
+        smooth_down(block, 2, 0, 3, 7, BLOCK_COLUMNS, scale, half)
     else:
         top, left = min(max(top, 0), h - BLOCK_ROWS), min(max(left, 0), w - BLOCK_COLUMNS)
-        _smooth_down(image, top + 2, left, 3, 7, scale, half)
-    _smooth_across(half, 7 * BLOCK_COLUMNS, smooth)
+        smooth_down(image, top + 2, left, 3, 7, BLOCK_COLUMNS, scale, half)
+    smooth_across(half, 7 * BLOCK_COLUMNS, smooth)
     return top + 5, left + _LEFT
 
 
@@ -190,8 +205,8 @@ def smooth_rows(
 @no_type_check
 def smooth_block(block: np.ndarray, scale: float, half: np.ndarray, smooth: np.ndarray) -> None:
     """The same for a block."""
-    _smooth_down(block, 0, 0, 1, BLOCK_ROWS - 6, scale, half)
-    _smooth_across(half, SMOOTH_SIZE, smooth)
+    smooth_down(block, 0, 0, 1, BLOCK_ROWS - 6, BLOCK_COLUMNS, scale, half)
+    smooth_across(half, SMOOTH_SIZE, smooth)
 
 
 @compiled
@@ -204,14 +219,16 @@ def _gauss(x0: float, x1: float, x2: float, x3: float, x4: float, x5: float, x6:
 
 @compiled
 @no_type_check
-def _smooth_down(image: np.ndarray, top: int, left: int, step: int, n: int, scale: float, half: np.ndarray) -> None:
-    """Smooth the columns of a block for n of its rows; the pixels for the first one begin at (top, left), for the next one ``step`` below."""
+def smooth_down(
+    image: np.ndarray, top: int, left: int, step: int, n: int, columns: int, scale: float, half: np.ndarray
+) -> None:
+    """Smooth so many columns for n rows; the pixels for the first row begin at (top, left), for the next one ``step`` below."""
     factor, first = np.float32(scale), np.uint64(left)
     for i in range(n):
         r = np.uint64(top + step * i)
-        for j in range(BLOCK_COLUMNS):
+        for j in range(columns):
             c = first + np.uint64(j)
-            half[i * BLOCK_COLUMNS + j] = factor * _gauss(
+            half[i * columns + j] = factor * _gauss(
                 image[r, c], image[r + _U1, c], image[r + _U2, c], image[r + _U3, c], image[r + _U4, c],
                 image[r + _U5, c], image[r + _U6, c],
             )  # fmt: skip
@@ -219,7 +236,7 @@ def _smooth_down(image: np.ndarray, top: int, left: int, step: int, n: int, scal
 
 @compiled
 @no_type_check
-def _smooth_across(half: np.ndarray, size: int, smooth: np.ndarray) -> None:
+def smooth_across(half: np.ndarray, size: int, smooth: np.ndarray) -> None:
     """Smooth the rows of a block, of which there are so many values."""
     for t in range(size):
         smooth[t] = _gauss(half[t], half[t + 1], half[t + 2], half[t + 3], half[t + 4], half[t + 5], half[t + 6])

@@ -62,6 +62,16 @@ STRIPES = {
     "thin with a wide ghost": line(U - 60, 1.2, 150.0) + line(U - 84.0, 4.0, 25.0),
     "faint": line(TILTED, 1.3, 4.5),
     "faint and wide": line(TILTED, 4.5, 4.5),
+    "zigzag": line((U - 150.0 - np.abs(V % 60 - 30)) / np.sqrt(2.0), 1.2, 80.0),
+    "crossing": np.maximum(line(TILTED, 1.2, 80.0), line((U - V - 30.0) / np.sqrt(2.0), 1.2, 80.0)),
+    "parallel": sum(line((U - 30.0 - 9.0 * k + 0.2 * V) / np.hypot(1.0, 0.2), 1.1, 20.0 + 5.0 * k) for k in range(8)),
+    "joining": np.maximum(
+        line(U - 150.0, 1.2, 80.0) * (V > 100),
+        line((np.abs(U - 150.0) + 0.5 * (V - 100.0)) / np.hypot(1.0, 0.5), 1.2, 60.0) * (V <= 100),
+    ),
+    "star": np.maximum.reduce(
+        [line((U - 160.0) * np.cos(a) + (V - 120.0) * np.sin(a), 1.2, 50.0) for a in np.linspace(0.0, np.pi, 7)[1:]]
+    ),
     "at the border": line(U - 3.5, 1.3, 90.0) + line(V - 236.2, 1.3, 50.0),
     "scene": BLOCKS + line(TILTED, 1.3, 60.0),
     "grain": GRAIN + line(TILTED, 1.3, 90.0),
@@ -199,6 +209,58 @@ def test_a_thin_stripe_in_the_dark_needs_no_smaller_size_and_a_wide_one_does():
         assert find_module._search(camera(STRIPES[name]), 1.0, 6.0, 2.0, 10.0, 1.0, False)[2], name
     for name in ("wide", "very wide", "faint and wide", "thin with a wide ghost"):
         assert not find_module._search(camera(STRIPES[name]), 1.0, 6.0, 2.0, 10.0, 1.0, False)[2], name
+
+
+@pytest.mark.parametrize(
+    "name", ["vertical", "horizontal", "between", "diagonal", "thin", "pieces", "bright and faint"]
+)
+def test_a_stripe_that_is_followed_is_what_a_search_of_the_tiles_finds(name, monkeypatch):
+    image = camera(STRIPES[name])
+    searched = []
+    search = find_module.candidates
+    monkeypatch.setattr(find_module, "candidates", lambda *arguments: searched.append(1) or search(*arguments))
+    followed, _ = find(image, None, OPTIONS)
+    assert not searched
+    monkeypatch.setattr(find_module, "_LINES_OF_TILES", 0)
+    expected, _ = find(image, None, OPTIONS)
+    assert searched
+    assert followed.clear == expected.clear
+    assert min(shares(followed.uv, expected.uv)) >= 0.99
+    distance, nearest = KDTree(expected.uv).query(followed.uv)
+    same = distance < 0.1
+    assert same.mean() > 0.97
+    assert distance[same].max() < 1e-4
+    assert np.median(np.abs(followed.spread_px2 / expected.spread_px2[nearest] - 1.0)[same]) < 0.05
+
+
+@pytest.mark.parametrize("height", [4.0, 5.0, 8.0])
+def test_pieces_at_the_limit_beside_a_bright_stripe_are_found_as_by_a_search(height, monkeypatch):
+    """What is so faint falls to pieces: all that a search of the tiles links is linked, also across gaps."""
+    faint = line((U - 180.0 + 0.4 * V) / np.hypot(1.0, 0.4), 0.8, height) + line(V - 120.4 - 0.1 * U, 0.8, height) * (
+        U > 200
+    )
+    searched = []
+    search = find_module.candidates
+    for seed in range(4):
+        image = camera(line(U - 60.0 - 0.05 * V, 1.2, 100.0) + faint, 0.4, seed)
+        monkeypatch.setattr(find_module, "candidates", lambda *arguments: searched.append(1) or search(*arguments))
+        followed, _ = find(image, None, OPTIONS)
+        assert not searched
+        monkeypatch.setattr(find_module, "candidates", search)
+        monkeypatch.setattr(find_module, "_LINES_OF_TILES", 0)
+        expected, _ = find(image, None, OPTIONS)
+        monkeypatch.undo()
+        assert shares(followed.uv, expected.uv)[0] >= 0.99
+        assert len(followed.scale_px) <= len(expected.scale_px) + 1
+
+
+@pytest.mark.parametrize("name", ["scene", "dots", "wide", "thin with a wide ghost"])
+def test_tiles_are_searched_where_chains_that_are_followed_explain_too_little(name, monkeypatch):
+    image = camera(STRIPES[name])
+    followed, _ = find(image, None, OPTIONS)
+    monkeypatch.setattr(find_module, "_LINES_OF_TILES", 0)
+    expected, _ = find(image, None, OPTIONS)
+    assert np.array_equal(followed.uv, expected.uv)
 
 
 def test_light_that_is_no_ridge_needs_no_smaller_size():
