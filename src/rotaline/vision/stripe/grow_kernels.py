@@ -280,16 +280,19 @@ def _grow(
     m: int,
 ) -> int:
     """Put the points of a chain behind the first m, from the one at (line, place) on to both sides; returns how many there are then."""
-    end = _follow(image, scale, kind, line + 1, place, -1, least, newest, half, smooth, points, heights, m, m)
-    for k in range((end - m) // 2):
-        i, j = m + k, end - 1 - k
-        for row in range(2):
-            points[row, i], points[row, j] = points[row, j], points[row, i]
-        for row in range(4):
-            heights[row, i], heights[row, j] = heights[row, j], heights[row, i]
-    if end == m:
-        return m
-    return _follow(image, scale, kind, line, place, 1, least, newest, half, smooth, points, heights, m, end)
+    end = m
+    for side in range(2):
+        first, step = (line, 1) if side else (line + 1, -1)
+        end = _follow(image, scale, kind, first, place, step, least, newest, half, smooth, points, heights, m, end)
+        if end == m:
+            break
+        for k in range(0 if side else (end - m) // 2):
+            i, j = m + k, end - 1 - k
+            for row in range(2):
+                points[row, i], points[row, j] = points[row, j], points[row, i]
+            for row in range(4):
+                heights[row, i], heights[row, j] = heights[row, j], heights[row, i]
+    return end
 
 
 @compiled
