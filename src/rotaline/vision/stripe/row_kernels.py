@@ -8,8 +8,9 @@ from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.chain_kernels import starts_of, window_mean
 from rotaline.vision.stripe.strip_kernels import BLOCK
 
-_UNDECIDED = 0.15  # difference of the normal's components
+_UNDECIDED, _UNDECIDED_SQUARES = 0.15, 0.21  # difference of the normal's components, and of their squares
 _AROUND = 8  # pixels to both sides, along the stripe: the direction that decides between rows and columns
+_LINES_AROUND = 6  # the same where there is a point on every line
 _SIDE = 3.0  # widths: the background begins, the window ends
 _LEAST_SIDE = 2  # pixels
 _PASSES = 3
@@ -22,65 +23,47 @@ _N, _BELOW, _X1, _X2, _Q, _XQ, _XXQ = (k * BLOCK for k in range(4, 11))
 
 @compiled
 @no_type_check
-def _crossings(
-    uv: np.ndarray,
-    begin: int,
-    end: int,
-    balance: np.ndarray,
-    points: np.ndarray,
-    after: np.ndarray,
-    part: np.ndarray,
-    edges: np.ndarray,
-    kinds: np.ndarray,
-    pieces: int,
-) -> tuple:
-    """Where a chain crosses whole rows (where it is steep: the balance is positive) or whole columns (where it is flat).
+def _same_kind(balance: np.ndarray, begin: int, end: int, steep: bool, undecided: float) -> tuple:
+    """Where a part of a chain stops that is steep (the balance is positive) or flat as it begins, and what comes then.
 
     Near 45 deg what held before goes on.
+    """
+    sign = 1.0 if steep else -1.0
+    stop = begin + 1
+    while stop < end and sign * balance[stop] >= -undecided:
+        stop += 1
+    return stop, steep == (stop == end)
+
+
+@compiled
+@no_type_check
+def _cross(
+    uv: np.ndarray, begin: int, stop: int, k: int, points: np.ndarray, after: np.ndarray, part: np.ndarray, m: int
+) -> int:
+    """Where a part of a chain crosses whole rows (``k`` is 1) or columns (0); it may go to and fro a little.
 
     Parameters
     ----------
-    points, edges, kinds : of the ``pieces`` before, and of those to come: where they start and the last one stops, which of them are steep
-    after, part : the point behind each crossing, and where the crossing is on the way there from the one before it
+    points, after, part : to write from ``m`` on: the crossings, the point of the chain behind each, and where on the way there it is
 
     Returns
     -------
-    points, pieces : int   that there are now
+    int   where the crossings end
     """
-    m, most = edges[pieces], len(points)
-    steep = balance[begin] >= 0.0
-    while begin < end:
-        stop = begin + 1
-        later = steep
-        while stop < end:
-            if abs(balance[stop]) > _UNDECIDED:
-                later = balance[stop] >= 0.0
-                if later != steep:
-                    break
-            stop += 1
-        k = 1 if steep else 0
-        sense = 1.0 if uv[stop - 1, k] >= uv[begin, k] else -1.0
-        line = sense * uv[begin, k]
-        whole = np.ceil(line)
-        first = m
-        for i in range(begin + 1, stop):
-            there = max(line, sense * uv[i, k])
-            while whole <= there and m < most:
-                f = (whole - line) / (there - line) if there > line else 0.0
-                points[m, k] = sense * whole
-                points[m, 1 - k] = uv[i - 1, 1 - k] + f * (uv[i, 1 - k] - uv[i - 1, 1 - k])
-                after[m], part[m] = i, f
-                m += 1
-                whole += 1.0
-            line = there
-        if m - first >= 2:
-            kinds[pieces] = steep
-            pieces += 1
-            edges[pieces] = m
-        else:
-            m = first
-        begin, steep = stop, later
-    return m, pieces
+    sense = 1.0 if uv[stop - 1, k] >= uv[begin, k] else -1.0
+    line = sense * uv[begin, k]
+    whole = np.ceil(line)
+    for i in range(begin + 1, stop):
+        there = max(line, sense * uv[i, k])
+        while whole <= there and m < len(points):
+            f = (whole - line) / (there - line) if there > line else 0.0
+            points[m, k] = sense * whole
+            points[m, 1 - k] = uv[i - 1, 1 - k] + f * (uv[i, 1 - k] - uv[i - 1, 1 - k])
+            after[m], part[m] = i, f
+            m += 1
+            whole += 1.0
+        line = there
+    return m
 
 
 @compiled
@@ -102,7 +85,15 @@ def cross_lines(uv: np.ndarray, starts: np.ndarray, width_px: np.ndarray, normal
     edges, steep = np.zeros(n + len(starts), np.int64), np.empty(n + len(starts), np.bool_)
     m = pieces = 0
     for c in range(len(starts) - 1):
-        m, pieces = _crossings(uv, starts[c], starts[c + 1], mean, points, after, part, edges, steep, pieces)
+        begin, kind = starts[c], mean[starts[c]] >= 0.0
+        while begin < starts[c + 1]:
+            stop, later = _same_kind(mean, begin, starts[c + 1], kind, _UNDECIDED)
+            end = _cross(uv, begin, stop, 1 if kind else 0, points, after, part, m)
+            if end - m >= 2:
+                steep[pieces] = kind
+                pieces += 1
+                edges[pieces] = m = end
+            begin, kind = stop, later
     points, edges = points[:m], edges[: pieces + 1]
     own, along, wide = np.empty((m, 2)), np.zeros((m, 2)), np.empty(m)
     for c in range(len(edges) - 1):
@@ -120,43 +111,62 @@ def cross_lines(uv: np.ndarray, starts: np.ndarray, width_px: np.ndarray, normal
 
 @compiled
 @no_type_check
-def _slopes(uv: np.ndarray, start: int, stop: int, k: int, out: np.ndarray) -> bool:
-    """Whether a chain has a point on each row (``k`` is 0) or column that it passes, and is nowhere nearer to the other direction; its slopes, px a line."""
-    m, w = stop - start, _AROUND
-    if m <= 2 * w:
-        return False
-    across, line = uv[start:stop, k], uv[start:stop, 1 - k]
-    sense, own = line[1] - line[0], out[start:stop]
-    stays = abs(sense) == 1.0
-    for i in range(m - 1):
-        stays &= line[i + 1] - line[i] == sense
-    for i in range(m - 2 * w):
-        own[w + i] = (across[2 * w + i] - across[i]) / (2.0 * w)
-        stays &= abs(own[w + i]) <= 1.0
-    own[:w], own[m - w :] = own[w], own[m - w - 1]
-    return stays
+def _steps_of_one(line: np.ndarray) -> bool:
+    """Whether the values are whole numbers, each one more (or each one less) than the one before."""
+    step, same = line[1] - line[0], True
+    for i in range(len(line) - 1):
+        same &= line[i + 1] - line[i] == step
+    return same and abs(step) == 1.0 and line[0] == np.floor(line[0])
 
 
 @compiled
 @no_type_check
-def _directions(uv: np.ndarray, start: int, stop: int, cosine: np.ndarray, balance: np.ndarray) -> None:
-    """Components of the normals of a chain whose points may be some pixels apart, without signs, and the first of them minus the second."""
-    at = np.empty(stop - start)
+def _balance_of_lines(place: np.ndarray, sign: float, balance: np.ndarray) -> None:
+    """As :func:`_balance`, of a chain with a point on each row (``sign`` is 1) or column (-1) that it passes."""
+    m, w = len(place), _LINES_AROUND
+    inner = balance[w:]
+    for i in range(m - 2 * w):
+        slope = (place[2 * w + i] - place[i]) * (0.5 / w)
+        inner[i] = sign * (2.0 / (1.0 + slope * slope) - 1.0)
+    for i in range(w):
+        balance[i], balance[m - 1 - i] = balance[w], balance[m - 1 - w]
+
+
+@compiled
+@no_type_check
+def _balance(uv: np.ndarray, balance: np.ndarray) -> None:
+    """The square of the normal's first component minus that of the second, of a chain whose points may be some pixels apart."""
+    at = np.empty(len(uv))
     at[0] = 0.0
-    for i in range(start + 1, stop):
+    for i in range(1, len(uv)):
         du, dv = uv[i, 0] - uv[i - 1, 0], uv[i, 1] - uv[i - 1, 1]
-        at[i - start] = at[i - start - 1] + np.sqrt(du * du + dv * dv)
+        at[i] = at[i - 1] + np.sqrt(du * du + dv * dv)
     a = b = 0
-    last = stop - start - 1
-    for i in range(last + 1):
+    last = len(uv) - 1
+    for i in range(len(uv)):
         while at[a] < min(at[i], at[last] - _AROUND) - _AROUND:
             a += 1
         while b < last and at[b + 1] <= max(at[i], _AROUND) + _AROUND:
             b += 1
-        du, dv = abs(uv[start + b, 0] - uv[start + a, 0]), abs(uv[start + b, 1] - uv[start + a, 1])
-        length = max(np.sqrt(du * du + dv * dv), 1e-9)
-        cosine[start + i, 0], cosine[start + i, 1] = dv / length, du / length
-        balance[start + i] = (dv - du) / length
+        du, dv = uv[b, 0] - uv[a, 0], uv[b, 1] - uv[a, 1]
+        balance[i] = (dv * dv - du * du) / max(du * du + dv * dv, 1e-18)
+
+
+@compiled
+@no_type_check
+def _copy(values: np.ndarray, out: np.ndarray) -> None:
+    """Copy values to where ``out`` begins."""
+    for i in range(len(values)):
+        out[i] = values[i]
+
+
+@compiled
+@no_type_check
+def _squares(balance: np.ndarray, sign: float, spread_px2: np.ndarray, stretch: np.ndarray, wide: np.ndarray) -> None:
+    """Stretch and width of points that stand where they were found, on rows (``sign`` is 1) or columns (-1)."""
+    for i in range(len(balance)):
+        square = 0.5 + 0.5 * sign * balance[i]
+        stretch[i], wide[i] = 1.0 / square, spread_px2[i] * square - 1.0
 
 
 @compiled
@@ -179,33 +189,41 @@ def whole_lines(uv: np.ndarray, chain: np.ndarray, spread_px2: np.ndarray) -> tu
     n = len(uv)
     most = int(2 * n + 2 * len(starts))
     points, after, part = np.empty((most, 2)), np.empty(most, np.int64), np.empty(most)
-    along, stretch, wide = np.zeros((most, 2)), np.empty(most), np.empty(most)
-    edges, kinds = np.zeros(n + len(starts), np.int64), np.empty(n + len(starts), np.bool_)
-    balance, cosine, slope = np.empty(n), np.empty((n, 2)), np.empty(n)
+    along, stretch, wide = np.empty((most, 2)), np.empty(most), np.empty(most)
+    edges, balance = np.zeros(n + len(starts), np.int64), np.empty(n)
+    pairs, found = points.reshape(-1), uv.reshape(-1)
     m = pieces = 0
     for c in range(len(starts) - 1):
-        start, stop, first, before = starts[c], starts[c + 1], m, pieces
-        rows = True
-        for i in range(start, stop):
-            rows &= uv[i, 1] == np.floor(uv[i, 1])
-        own = 0 if rows else 1
-        if _slopes(uv, start, stop, own, slope):
-            m, pieces = m + stop - start, pieces + 1
-            edges[pieces] = m
-            points[first:m] = uv[start:stop]
-            for i in range(stop - start):
-                square = 1.0 + slope[start + i] * slope[start + i]
-                along[first + i, own], stretch[first + i] = 1.0, square
-                wide[first + i] = spread_px2[start + i] / square - 1.0
-            continue
-        _directions(uv, start, stop, cosine, balance)
-        m, pieces = _crossings(uv, start, stop, balance, points, after, part, edges, kinds, pieces)
-        for piece in range(before, pieces):
-            k = 0 if kinds[piece] else 1
-            for j in range(edges[piece], edges[piece + 1]):
-                i = after[j]
-                along[j, k], stretch[j] = 1.0, 1.0 / max(cosine[i, k] * cosine[i, k], 0.25)
-                wide[j] = spread_px2[i] * cosine[i, own] * cosine[i, own] - 1.0
+        begin, end = starts[c], starts[c + 1]
+        rows = _steps_of_one(uv[begin:end, 1])
+        whole = rows or _steps_of_one(uv[begin:end, 0])
+        if not whole:
+            rows = True
+            for i in range(begin, end):
+                rows &= uv[i, 1] == np.floor(uv[i, 1])
+        sign = 1.0 if rows else -1.0
+        if whole and end - begin > 2 * _LINES_AROUND:
+            _balance_of_lines(uv[begin:end, 0 if rows else 1], sign, balance[begin:end])
+        else:
+            _balance(uv[begin:end], balance[begin:end])
+        steep = balance[begin] >= 0.0
+        while begin < end:
+            stop, later = _same_kind(balance, begin, end, steep, _UNDECIDED_SQUARES)
+            last = m + stop - begin
+            if whole and steep == rows:
+                _copy(found[2 * begin : 2 * stop], pairs[2 * m :])
+                _squares(balance[begin:stop], sign, spread_px2[begin:stop], stretch[m:], wide[m:])
+            else:
+                last = _cross(uv, begin, stop, 1 if steep else 0, points, after, part, m)
+                for j in range(m, last):
+                    square = 0.5 + 0.5 * balance[after[j]]  # of the normal's first component
+                    stretch[j] = 1.0 / max(square if steep else 1.0 - square, 0.25)
+                    wide[j] = spread_px2[after[j]] * (square if rows else 1.0 - square) - 1.0
+            if last - m >= 2:
+                along[m:last, 0], along[m:last, 1] = (1.0, 0.0) if steep else (0.0, 1.0)
+                pieces += 1
+                edges[pieces] = m = last
+            begin, steep = stop, later
     return points[:m], edges[: pieces + 1], along[:m], stretch[:m], wide[:m]
 
 
