@@ -10,28 +10,39 @@ _GRAINY = 1.25
 _TRIM = 0.9
 _TRIMMED_TO_SIGMA = 1.267  # of a Gaussian cut at its 90 % quantile
 _LEAST_PAIRS, _LEAST_POINTS = 40, 40
-_HALVINGS = 20
+_MOST_PASSES = 20
+_CLOSE, _ABOUT = 0.001, 0.02  # parts of a value; about: what is trimmed by mistake is put back, as large as the limit
 _REACH = 6  # points to the outermost of those that tell the scatter of one, at the shorter distance
 
 
 @compiled
 @no_type_check
-def _just_above(values: np.ndarray, n: int, k: int) -> float:
-    """Just above the ``k``-th smallest (from 0) of the first ``n`` values, by less than a thousandth of it; single precision, none negative.
+def _just_above(values: np.ndarray, n: int, k: int, tolerance: float) -> float:
+    """Just above the ``k``-th smallest (from 0) of the first ``n`` values, of which more are finite; single precision, none negative.
 
-    Such numbers are in order as their bits are, which are halved until few are left; counting is done for many values at once.
+    Where it can be is divided by four, as their mean bounds it, until it is known to a part ``tolerance`` of it; counting is done for many values at once.
     """
-    bits = values.view(np.int32)
-    low, high = np.int32(0), np.int32(0x7F800000)
-    for _ in range(_HALVINGS):
-        middle, count = low + (high - low) // np.int32(2), np.int32(0)
+    total, finite = np.float32(0.0), np.int32(0)
+    for i in range(n):
+        some = values[i] < np.float32(np.inf)
+        total += values[i] if some else np.float32(0.0)
+        finite += np.int32(some)
+    low, high = np.float32(0.0), np.float32(1.001) * total / np.float32(finite - k)
+    for _ in range(_MOST_PASSES):
+        step = np.float32(0.25) * (high - low)
+        a, b, c = low + step, low + step + step, high - step
+        below_a, below_b, below_c = np.int32(0), np.int32(0), np.int32(0)
         for i in range(n):
-            count += np.int32(bits[i] < middle)
-        if count > k:
-            high = np.int32(middle)
+            below_a += np.int32(values[i] < a)
+            below_b += np.int32(values[i] < b)
+            below_c += np.int32(values[i] < c)
+        if below_b > k:
+            low, high = (low, a) if below_a > k else (a, b)
         else:
-            low = np.int32(middle)
-    return np.array([high]).view(np.float32)[0]
+            low, high = (b, c) if below_c > k else (c, high)
+        if high - low <= np.float32(tolerance) * high:
+            break
+    return high
 
 
 @compiled
@@ -41,14 +52,14 @@ def _trimmed(values: np.ndarray) -> float:
     if len(values) == 0:
         return 0.0
     k = int(_TRIM * (len(values) - 1))
-    limit = _just_above(values, len(values), k)
-    total, count = 0.0, 0
+    limit = _just_above(values, len(values), k, _ABOUT)
+    total, count = np.float32(0.0), np.int32(0)
     for i in range(len(values)):
-        v = values[i] if values[i] < limit else 0.0
-        count += values[i] < limit
+        v = values[i] if values[i] < limit else np.float32(0.0)
+        count += np.int32(values[i] < limit)
         total += v * v
-    total += (k + 1 - count) * limit * limit
-    return _TRIMMED_TO_SIGMA * np.sqrt(max(total, 0.0) / (k + 1))
+    rest = total + (k + 1.0 - count) * limit * limit
+    return _TRIMMED_TO_SIGMA * np.sqrt(max(rest, 0.0) / (k + 1.0))
 
 
 @compiled
@@ -116,8 +127,8 @@ def scatter_and_floor(
     if m < _LEAST_POINTS:
         return 0.0, 0.0
     middle, expected = (
-        _just_above(scratch, m, m // 2),
-        _just_above(scratch, m, m // 4),
+        _just_above(scratch, m, m // 2, _CLOSE),
+        _just_above(scratch, m, m // 4, _CLOSE),
     )  # median of all, and of the clear half
     first = measured = limit = 0.0
     for lag in (3, 8):
@@ -129,7 +140,7 @@ def scatter_and_floor(
         if m < _LEAST_POINTS:
             break
         limit = expected * (1.0 + 3.5 / np.sqrt(clear))
-        found_now = 1.4826 / np.sqrt(70.0) * _just_above(scratch, m, clear // 2)
+        found_now = 1.4826 / np.sqrt(70.0) * _just_above(scratch, m, clear // 2, _CLOSE)
         if lag == 3:
             first = measured = found_now
         elif found_now > _GRAINY * first:
