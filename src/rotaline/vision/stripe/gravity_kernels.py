@@ -21,68 +21,108 @@ _CORE = 1.5  # widths: a clipped pixel as near makes the point saturated
 
 @compiled
 @no_type_check
+def _fitted(s0: float, s1: float, s2: float, n: float) -> tuple:
+    """Mean square misfit and slope of the line through ``n`` values, one a step, from sums of y, i y and y y."""
+    variance = max(n * (n * n - 1.0) / 12.0, 1e-9)
+    slope = (s1 - 0.5 * (n - 1.0) * s0) / variance
+    return max(s2 - s0 * s0 / n - variance * slope * slope, 0.0) / max(n - 2.0, 1.0), slope
+
+
+@compiled
+@no_type_check
+def _slopes_at_end(
+    place: np.ndarray, first: int, step: int, side_misfit: np.ndarray, side_slope: np.ndarray, slope: np.ndarray
+) -> None:
+    """Slopes of the points at the end ``first`` of a piece, where there is no room for whole windows; ``step`` leads into it."""
+    s0, s1, s2, floor = 0.0, 0.0, 0.0, _FINE_PX * _FINE_PX
+    for j in range(2 * _WINDOW):
+        y = place[first + step * j] - place[first]
+        s0, s1, s2 = s0 + y, s1 + y * j, s2 + y * y
+        i = j - _WINDOW
+        if i >= 0:
+            misfit, best = _fitted(s0, s1, s2, j + 1.0)
+            best *= step
+            for low in (first + min(step, 0) * _WINDOW, first + step * i + min(step, 0) * _WINDOW):
+                other = 4.0 * (side_misfit[low] + floor) - floor
+                misfit, best = (other, side_slope[low]) if other < misfit else (misfit, best)
+            slope[first + step * i] = best
+
+
+@compiled
+@no_type_check
+def _slope_of_all(place: np.ndarray) -> float:
+    """Slope of the line through all points."""
+    s0, s1, s2 = 0.0, 0.0, 0.0
+    for j in range(len(place)):
+        y = place[j] - place[0]
+        s0, s1, s2 = s0 + y, s1 + y * j, s2 + y * y
+    return _fitted(s0, s1, s2, float(len(place)))[1]
+
+
+@compiled
+@no_type_check
+def _slopes(place: np.ndarray, side_misfit: np.ndarray, side_slope: np.ndarray, slope: np.ndarray) -> None:
+    """Slopes of points, px a line: of a window on both sides, or of the better one-sided window where that fits clearly better.
+
+    Parameters
+    ----------
+    side_misfit, side_slope, slope : to write; the former two are of the one-sided windows, by their first points
+    """
+    n, w, floor = len(place), _WINDOW, _FINE_PX * _FINE_PX
+    for i in range(np.uint64(max(n - w, 0))):
+        s0, s1, s2 = 0.0, 0.0, 0.0
+        for j in range(np.uint64(_WINDOW + 1)):
+            y = place[i + j] - place[i]
+            s0, s1, s2 = s0 + y, s1 + y * j, s2 + y * y
+        side_misfit[i], side_slope[i] = _fitted(s0, s1, s2, _WINDOW + 1.0)
+    for i in range(np.uint64(max(n - 2 * w, 0))):
+        s0, s1, s2 = 0.0, 0.0, 0.0
+        for j in range(np.uint64(2 * _WINDOW + 1)):
+            y = place[i + j] - place[i]
+            s0, s1, s2 = s0 + y, s1 + y * j, s2 + y * y
+        misfit, own = _fitted(s0, s1, s2, 2.0 * _WINDOW + 1.0)
+        after = i + np.uint64(w)
+        other = min(side_misfit[i], side_misfit[after])
+        other_slope = side_slope[i] if side_misfit[i] <= side_misfit[after] else side_slope[after]
+        slope[after] = other_slope if 4.0 * (other + floor) < misfit + floor else own
+
+
+@compiled
+@no_type_check
 def line_normals(uv: np.ndarray, starts: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Normals of pieces with a point on every row, or on every column, (n, 2).
 
-    As :func:`rotaline.vision.stripe.direction_kernels.local_lines` settles them, to which the rows are no news.
+    As :func:`rotaline.vision.stripe.direction_kernels.local_lines` settles them, to which the rows are no news; a short piece has one direction.
     """
     n = len(uv)
-    normal, total = np.empty_like(uv), (np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1))
-    slope, scale, side_misfit, side_slope = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    floor = _FINE_PX * _FINE_PX
+    normal, place, slope, side_misfit, side_slope = (
+        np.empty_like(uv),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+    )
     for c in range(len(starts) - 1):
-        start, m = starts[c], starts[c + 1] - starts[c]
+        k = 0 if along[starts[c], 0] != 0.0 else 1
+        for i in range(starts[c], starts[c + 1]):
+            place[i] = uv[i, k]
+    _slopes(place, side_misfit, side_slope, slope)
+    for c in range(len(starts) - 1):
+        start, stop = starts[c], starts[c + 1]
+        if stop - start > 2 * _WINDOW:
+            _slopes_at_end(place, start, 1, side_misfit, side_slope, slope)
+            _slopes_at_end(place, stop - 1, -1, side_misfit, side_slope, slope)
+        else:
+            slope[start:stop] = _slope_of_all(place[start:stop])
+    for i in range(n):
+        side_slope[i] = 1.0 / np.sqrt(1.0 + slope[i] * slope[i])
+    for c in range(len(starts) - 1):
+        start, stop = starts[c], starts[c + 1]
         k = 0 if along[start, 0] != 0.0 else 1
-        s0, s1, s2 = 0.0, 0.0, 0.0
-        for i in range(m):
-            y = uv[start + i, k] - uv[start, k]
-            s0, s1, s2 = s0 + y, s1 + y * i, s2 + y * y
-            total[0][i + 1], total[1][i + 1], total[2][i + 1] = s0, s1, s2
-        for i in range(m - _WINDOW):  # one-sided windows by their first points
-            side_misfit[i], side_slope[i] = _line(total, i, _WINDOW + 1)
-        for i in range(_WINDOW, m - _WINDOW):
-            misfit, own = _line(total, i - _WINDOW, 2 * _WINDOW + 1)
-            before, after = np.uint64(i - _WINDOW), np.uint64(i)
-            other = min(side_misfit[before], side_misfit[after])
-            other_slope = side_slope[before] if side_misfit[before] <= side_misfit[after] else side_slope[after]
-            slope[after] = other_slope if 4.0 * (other + floor) < misfit + floor else own
-        for i in range(m):
-            if i < _WINDOW or i >= m - _WINDOW:
-                slope[i] = _slope_at_end(total, i, m, floor)
-        sense = uv[start + 1, 1 - k] - uv[start, 1 - k]
-        for i in range(m):
-            scale[i] = (1.0 if k else -1.0) / np.sqrt(1.0 + slope[i] * slope[i])
-        for i in range(m):
-            normal[start + i, k], normal[start + i, 1 - k] = sense * scale[i], -slope[i] * scale[i]
+        sense, sign = uv[start + 1, 1 - k] - uv[start, 1 - k], 1.0 if k else -1.0
+        for i in range(start, stop):
+            normal[i, k], normal[i, 1 - k] = sense * sign * side_slope[i], -sign * slope[i] * side_slope[i]
     return normal
-
-
-@compiled
-@no_type_check
-def _slope_at_end(total: tuple, i: int, m: int, floor: float) -> float:
-    """Slope at point ``i`` of ``m``, where there is no room for whole windows."""
-    before, after = max(i - _WINDOW, 0), min(i + _WINDOW, m - 1)
-    least, most = min(i, max(m - 1 - _WINDOW, 0)), max(i, min(_WINDOW, m - 1))  # where one-sided windows begin and end
-    low = min(before, least)
-    misfit, slope = _line(total, low, max(after, most) + 1 - low)
-    for low, high in ((before, most), (least, after)):
-        other, other_slope = _line(total, low, high + 1 - low)
-        if 4.0 * (other + floor) < misfit + floor:
-            misfit, slope = 4.0 * (other + floor) - floor, other_slope
-    return slope
-
-
-@compiled
-@no_type_check
-def _line(total: tuple, low: int, count: int) -> tuple:
-    """Mean square misfit and slope of the line through ``count`` points from ``low`` on, from sums of y, i y and y y."""
-    first, behind, mean_i = np.uint64(low), np.uint64(low + count), low + 0.5 * (count - 1)
-    variance = max(count * (count * count - 1.0) / 12.0, 1e-9)
-    y, iy, yy = total
-    mean = (y[behind] - y[first]) / count
-    slope = (iy[behind] - iy[first] - mean_i * mean * count) / variance
-    rest = yy[behind] - yy[first] - count * mean * mean - variance * slope * slope
-    return max(rest, 0.0) / max(count - 2.0, 1.0), slope
 
 
 @compiled
