@@ -10,7 +10,7 @@ from rotaline.vision.images import Image
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.ends import average_along
 from rotaline.vision.stripe.find import find
-from rotaline.vision.stripe.gravity import measure_on_lines
+from rotaline.vision.stripe.gravity import measure_clear, measure_on_lines
 from rotaline.vision.stripe.judge_kernels import sound_points
 from rotaline.vision.stripe.measure import Measured, measure
 from rotaline.vision.stripe.model import StripePoints
@@ -43,13 +43,21 @@ def extract_stripe(image: Image, background: Image | None = None, options: Strip
     """
     found, plane = find(image, background, options)
     least = max(SHORTEST, int(options.min_length_px)) if found.crowded else SHORTEST
-    measured = measure_on_lines(found, plane) if options.method == "gray-gravity" else None
-    if measured is None:
-        trace = trace_stripe(found, plane, least)
-        if trace is None:
-            return _empty()
-        measured = measure(trace, plane, options)
-    points, plain = _judged(measured, plane, least, options)
+    on_lines = options.method == "gray-gravity"
+    judged = measure_clear(found, plane, least, options) if on_lines else None
+    if judged is None:
+        measured = measure_on_lines(found, plane) if on_lines else None
+        if measured is None:
+            trace = trace_stripe(found, plane, least)
+            if trace is None:
+                return _empty()
+            measured = measure(trace, plane, options)
+        judged = _judged(measured, plane, least, options)
+    uv, normal, width, height, u, saturated, segment, plain = judged
+    if options.average_px > 0:
+        uv, gain = average_along(Chains(uv, segment), normal, options.average_px)
+        u = u * gain
+    points = StripePoints(uv, normal, width, height, u, saturated, segment)
     if not plain:
         points = counting(points, options.min_length_px, found.crowded)
     if found.crowded or plane.lit:
@@ -57,18 +65,14 @@ def extract_stripe(image: Image, background: Image | None = None, options: Strip
     return points if options.keep == "all" else brightest(points)
 
 
-def _judged(measured: Measured, plane: Plane, least: int, options: StripeOptions) -> tuple[StripePoints, bool]:
-    """The measured points that are what a stripe gives, and whether it is plain that each of their pieces is one."""
+def _judged(measured: Measured, plane: Plane, least: int, options: StripeOptions) -> tuple:
+    """The measured points that are what a stripe gives: what :func:`rotaline.vision.stripe.judge_kernels.sound_points` returns."""
     m, c, trace = measured, measured.centres, measured.trace
-    uv, normal, width, height, u, saturated, segment, plain = sound_points(
+    return sound_points(
         trace.uv, trace.starts, trace.normal, m.normal, trace.width_px, m.noise, c.shift_px, c.u_px, c.width_px,
         c.height, m.u_edge_px, m.saturated, m.floor_px, 0.5 * options.min_contrast * plane.unit, plane.size, least,
         options.min_length_px,
     )  # fmt: skip
-    if options.average_px > 0:
-        uv, gain = average_along(Chains(uv, segment), normal, options.average_px)
-        u = u * gain
-    return StripePoints(uv, normal, width, height, u, saturated, segment), bool(plain)
 
 
 def _empty() -> StripePoints:

@@ -6,6 +6,18 @@ import numpy as np
 
 from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.chain_kernels import window_mean
+from rotaline.vision.stripe.clear_kernels import (
+    LANES,
+    MOST_PAIRS,
+    centroids,
+    differences,
+    half_length,
+    has_clipped,
+    read_strips,
+    saturated_points,
+    without_clipped,
+)
+from rotaline.vision.stripe.judge_kernels import sound_points
 from rotaline.vision.stripe.line_kernels import BLOCK, flat_centroids, read_lines, rough_centres
 from rotaline.vision.stripe.row_kernels import whole_lines
 from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_floor
@@ -187,21 +199,16 @@ def measure_found(
     uv: np.ndarray,
     chain: np.ndarray,
     spread_px2: np.ndarray,
-    clear: bool,
-    least_px: float,
-    most_px: float,
 ) -> tuple:
     """Where the stripe is along the rows and columns that the found chains cross: the centroid of what stands above the background.
 
-    Where the chains are clear and the stripe is not wide, their tops and the spread of these tell place and width. Otherwise a centroid under a bell
-    does, in strips for a usual width, and once more in longer ones where these do not reach far enough.
+    A centroid under a bell tells place and width first, in strips for a usual width, and once more in longer ones where these do not reach far enough.
 
     Parameters
     ----------
     value, source, subtracted, limit, size : of :func:`rotaline.vision.stripe.line_kernels.read_lines`
     least_noise : float   of a pixel
-    uv, chain, spread_px2, clear : of :class:`rotaline.vision.stripe.found.FoundStripe`
-    least_px, most_px : float   widths between which the spread tells the width
+    uv, chain, spread_px2 : of :class:`rotaline.vision.stripe.found.FoundStripe`
 
     Returns
     -------
@@ -216,21 +223,13 @@ def measure_found(
     """
     uv, starts, along, stretch, measured = whole_lines(uv, chain, spread_px2)
     n = len(uv)
-    width, shift, good, moved = np.empty(n), np.zeros(n), np.ones(n, np.bool_), uv
-    known = clear
+    width, shift, good, moved = np.empty(n), np.zeros(n), np.ones(n, np.bool_), np.empty((n, 2))
     for i in range(n):
-        measured[i] = np.sqrt(max(measured[i], _LEAST_WIDTH_PX * _LEAST_WIDTH_PX))
-    window_mean(measured, starts, 10, width)
-    for i in range(n):
-        known &= least_px <= width[i] <= most_px
-    for i in range(n):
-        width[i] = np.sqrt(stretch[i]) * (width[i] if known else _WIDTH_PX)
+        width[i] = np.sqrt(stretch[i]) * _WIDTH_PX
     for _ in range(2):
         middle, half, off, level, ground, hits = read_lines(value, source, subtracted, limit, size, uv, along, width)
-        if known:
-            break
         rough, rough_width = rough_centres(middle, half, off, level, ground, width)
-        moved, enough = np.empty((n, 2)), True
+        enough = True
         for i in range(n):
             good[i] = abs(rough[i]) <= 1.5 * width[i] + 1.0
             wide = rough_width[i] if good[i] else width[i]
@@ -242,22 +241,101 @@ def measure_found(
             enough &= 3.0 * width[i] + 2.5 <= half[i // BLOCK]
         if enough:
             break
-    any_hits = False
-    for i in range(n):
-        any_hits |= hits[i] > 0
-    differences, ends = _differences(starts, along, middle, half, off, ground, shift, width)
-    noise = pixel_noise(differences, ends, starts, least_noise)
+    pairs, ends = _differences(starts, along, middle, half, off, ground, shift, width)
+    noise = pixel_noise(pairs, ends, starts, least_noise)
     normal = line_normals(moved, starts, along)
     saturated = np.zeros(n, np.bool_)
-    if any_hits:
-        for i in range(n):
-            at, h, core = middle[i // BLOCK] + i % BLOCK, half[i // BLOCK], _CORE * width[i]
-            for t in range(-h, h if hits[i] > 0 else -h):
-                clipped = np.isnan(ground[at + t * BLOCK]) and not np.isnan(level[at + t * BLOCK])
-                saturated[i] |= clipped and abs(t + off[i] - shift[i]) <= core
-    centre, u, wide_px, high = flat_centroids(middle, half, off, level, ground, width, shift, 1 if known else 2)
+    for i in range(n):
+        at, h, core = middle[i // BLOCK] + i % BLOCK, half[i // BLOCK], _CORE * width[i]
+        for t in range(-h, h if hits[i] > 0 else -h):
+            clipped = np.isnan(ground[at + t * BLOCK]) and not np.isnan(level[at + t * BLOCK])
+            saturated[i] |= clipped and abs(t + off[i] - shift[i]) <= core
+    centre, u, wide_px, high = flat_centroids(middle, half, off, level, ground, width, shift, 2)
     for i in range(n):
         if not good[i]:
             centre[i] = np.nan
     _, floor = scatter_and_floor(uv, starts, along, centre, u, noise)
     return uv, starts, width, along, normal, centre, u, wide_px, high, noise, floor, saturated
+
+
+@compiled
+@no_type_check
+def clear_points(
+    value: np.ndarray,
+    source: np.ndarray,
+    subtracted: bool,
+    limit: float,
+    size: tuple,
+    least_noise: float,
+    uv: np.ndarray,
+    chain: np.ndarray,
+    spread_px2: np.ndarray,
+    least_px: float,
+    most_px: float,
+    least_height: float,
+    least: int,
+    min_length: float,
+) -> tuple:
+    """Measure a clear stripe that is not wide on the rows and columns that the found chains cross, and judge the points.
+
+    The tops of the chains and the spread of these tell place and width.
+
+    Parameters
+    ----------
+    value, source, subtracted, limit, size, least_noise, uv, chain, spread_px2 : of :func:`measure_found`
+    least_px, most_px : float   widths between which the spread tells the width
+    least_height, least, min_length : of :func:`rotaline.vision.stripe.judge_kernels.sound_points`
+
+    Returns
+    -------
+    known : bool   the widths are as they have to be; else nothing was measured
+    points   as :func:`rotaline.vision.stripe.judge_kernels.sound_points` returns them
+    """
+    uv, starts, along, stretch, wide = whole_lines(uv, chain, spread_px2)
+    n = len(uv)
+    width, known = np.empty(n), True
+    for i in range(n):
+        wide[i] = np.sqrt(max(wide[i], _LEAST_WIDTH_PX * _LEAST_WIDTH_PX))
+    window_mean(wide, starts, 10, width)
+    for i in range(n):
+        known &= (least_px <= width[i]) & (width[i] <= most_px)
+    if not known:
+        n, starts = 0, starts[:1]
+        uv, along, width = uv[:0], along[:0], width[:0]
+    for i in range(n):
+        width[i] *= np.sqrt(stretch[i])
+    pieces = len(starts) - 1
+    halves, most_lanes, most_pixels, most_pairs = np.empty(pieces, np.int64), 0, 0, LANES
+    for c in range(pieces):
+        m = starts[c + 1] - starts[c]
+        halves[c] = half_length(width[starts[c] : starts[c + 1]])
+        lanes = (m + LANES - 1) // LANES * LANES
+        most_lanes, most_pixels = max(most_lanes, lanes), max(most_pixels, 2 * halves[c] * lanes)
+        most_pairs += 2 * halves[c] * min(m, MOST_PAIRS)
+    pixel, centre = np.empty(most_lanes, np.int64), np.empty(most_lanes, np.float32)
+    level, pairs = np.empty(most_pixels, np.float32), np.empty(most_pairs, np.float32)
+    measured, saturated = np.empty((4, n)), np.zeros(n, np.bool_)
+    ends = np.zeros(pieces + 1, np.int64)
+    for c in range(pieces):
+        start, stop, half = starts[c], starts[c + 1], halves[c]
+        own = width[start:stop]
+        lanes = (stop - start + LANES - 1) // LANES * LANES
+        axis = 0 if along[start, 0] != 0.0 else 1
+        read_strips(value, uv[start:stop], axis, size, half, lanes, pixel, centre, level)
+        ground, clipped = level, False
+        if subtracted or has_clipped(level[: 2 * half * lanes], limit):
+            ground = level.copy()
+            clipped = without_clipped(source, limit, pixel, size[0] if axis else 1, half, lanes, ground)
+        if clipped:
+            saturated_points(ground, half, lanes, centre, own, saturated[start:stop])
+        centroids(level, ground, half, lanes, centre, own, clipped, measured[:, start:stop])
+        ends[c + 1] = differences(ground, half, lanes, centre, own, clipped, pairs, ends[c])
+    shift, u, wide_px, high = measured
+    noise = pixel_noise(pairs[: ends[pieces]], ends, starts, least_noise)
+    normal = line_normals(uv, starts, along)
+    _, floor = scatter_and_floor(uv, starts, along, shift, u, noise)
+    points = sound_points(
+        uv, starts, along, normal, width, noise, shift, u, wide_px, high, np.zeros(n), saturated, floor, least_height, size, least,
+        min_length,
+    )  # fmt: skip
+    return known, points

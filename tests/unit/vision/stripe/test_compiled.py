@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotaline.simulation.ideal.stripes import StripeScene, render_stripe
-from rotaline.vision.stripe import chain_kernels
+from rotaline.vision.stripe import chain_kernels, extract
 from rotaline.vision.stripe.background import fit_steps
 from rotaline.vision.stripe.centre_kernels import subtract_sides, weighted_centroids
 from rotaline.vision.stripe.curve import Chains
@@ -14,7 +14,7 @@ from rotaline.vision.stripe.direction_kernels import local_lines
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 from rotaline.vision.stripe.find import find
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
-from rotaline.vision.stripe.gravity import measure_on_lines
+from rotaline.vision.stripe.gravity import measure_clear
 from rotaline.vision.stripe.gravity_kernels import line_normals
 from rotaline.vision.stripe.judge_kernels import sound_ends
 from rotaline.vision.stripe.measure_kernels import best_centres
@@ -144,17 +144,35 @@ def test_chains_on_whole_lines_stay_as_they_were_found(steep, sense):
     np.testing.assert_allclose(wide, width, atol=0.1)
 
 
-def test_grey_gravity_from_the_tops_is_that_from_a_bell():
-    image = render_stripe(replace(BASE, sigma_px=1.2), np.random.default_rng(5))
-    found, plane = find(image, None, StripeOptions(method="gray-gravity"))
+@pytest.mark.parametrize("angle_deg", [20.0, 51.0, 100.0])
+@pytest.mark.parametrize(("peak", "rtol"), [(150.0, 0.1), (400.0, 0.5)])
+def test_grey_gravity_from_the_tops_is_that_from_a_bell(angle_deg, peak, rtol, monkeypatch):
+    """Also where the stripe leaves the image, and where its core is clipped."""
+    scene = replace(BASE, image_size=(100, 140), sigma_px=1.2, angle_deg=angle_deg, peak=peak)
+    image = render_stripe(scene, np.random.default_rng(5))
+    options = StripeOptions(method="gray-gravity")
+    found, plane = find(image, None, options)
     assert found.clear
-    from_tops, from_bell = measure_on_lines(found, plane), measure_on_lines(replace(found, clear=False), plane)
-    assert from_tops is not None
-    assert from_bell is not None
-    np.testing.assert_array_equal(from_tops.trace.uv, from_bell.trace.uv)
-    np.testing.assert_allclose(from_tops.trace.width_px, from_bell.trace.width_px, rtol=0.02)
-    u_px = from_bell.centres.u_px * from_bell.noise
-    assert np.sqrt(np.mean(((from_tops.centres.shift_px - from_bell.centres.shift_px) / u_px) ** 2)) < 0.3
+    assert measure_clear(found, plane, 4, options) is not None
+    from_tops = extract_stripe(image, None, options)
+    monkeypatch.setattr(extract, "measure_clear", lambda *_: None)
+    from_bell = extract_stripe(image, None, options)
+    line = 0 if angle_deg < 45.0 else 1
+    _, one, other = np.intersect1d(from_tops.uv[:, line], from_bell.uv[:, line], return_indices=True)
+    assert len(one) >= max(len(from_tops), len(from_bell)) - 1
+    u_px = from_bell.u_normal_px[other]
+    off = (from_tops.uv[one] - from_bell.uv[other])[:, 1 - line] * from_bell.normal[other, 1 - line]
+    assert np.sqrt(np.mean((off / u_px) ** 2)) < 0.3
+    np.testing.assert_allclose(from_tops.u_normal_px[one].mean(), u_px.mean(), rtol=rtol)
+    np.testing.assert_array_equal(from_tops.saturated[one], from_bell.saturated[other])
+
+
+def test_grey_gravity_in_an_image_too_small_for_strips():
+    image = render_stripe(replace(BASE, image_size=(160, 44), sigma_px=1.2, angle_deg=2.0), np.random.default_rng(5))
+    options = StripeOptions(method="gray-gravity")
+    found, plane = find(image, None, options)
+    assert measure_clear(replace(found, clear=True), plane, 4, options) is None
+    assert len(extract_stripe(image, None, options)) > 150
 
 
 @pytest.mark.parametrize("steep", [False, True])
