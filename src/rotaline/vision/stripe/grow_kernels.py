@@ -1,8 +1,7 @@
 """Chains grown along the stripe, for frames that are dark but for it.
 
-A chain begins at a ridge in a bright tile and is followed line by line to both sides, through blocks of some lines that are smoothed around the place
-where it is expected. So the image is smoothed along the stripe only, and not in whole tiles. What counts as a ridge, and when two points of one are
-linked, is as in :mod:`rotaline.vision.stripe.find_kernels` and :mod:`rotaline.vision.stripe.link_kernels`.
+A chain begins at a ridge in a bright tile and is followed to both sides (:mod:`rotaline.vision.stripe.follow_kernels`), so that the image is smoothed
+along the stripe only, and not in whole tiles. What is bright beside the chains begins the next one.
 """
 
 from typing import no_type_check
@@ -21,7 +20,8 @@ from rotaline.vision.stripe.explain_kernels import (
     off_border,
     too_wide,
 )
-from rotaline.vision.stripe.link_kernels import GAPS, SHORTEST
+from rotaline.vision.stripe.follow_kernels import follow_ridge
+from rotaline.vision.stripe.link_kernels import SHORTEST
 from rotaline.vision.stripe.settle_kernels import choose, compete
 from rotaline.vision.stripe.tile_kernels import (
     BLOCK_COLUMNS,
@@ -31,21 +31,14 @@ from rotaline.vision.stripe.tile_kernels import (
     TILE,
     first_byte,
     inside,
-    mirrored,
     number_tiles,
-    smooth_across,
     smooth_border_tile,
-    smooth_down,
     smooth_tile,
     tile_peaks,
 )
 
-_ROWS, _COLUMNS = 8, 10  # lines of a block
-_PLACES = 32  # of a block, three more on each side than are used
-_WIDTH = 16  # of a block of columns, three more on each side than are used
-_MIDDLE = _PLACES // 2
-_VALID = _PLACES - 6
-_BACK, _STEEPEST = 8, 10  # lines; places: what goes further within so many lines is of the other kind
+# a chain that goes more places a line, or has fewer lines, may be stronger as one of the other kind
+_DIAGONAL, _SHORT = 0.8, 16
 _BESIDE = 1.0  # px that a chain covers; grown chains meet where one turns into the other
 _TRIES = 8  # ridges of a tile that are tried; where there are more, tiles are searched
 _FAINT, _EAGER = 3.0, 0.8  # limits: in tiles that are no higher, light begins earlier as long as chains are looked for
@@ -122,15 +115,26 @@ def grow(
             if kind < 0:
                 break
             peaks[row - a * TILE, column - b * TILE] = 0
-            i, j, n_lines = (row, column, h) if kind == 0 else (column, row, w)
             tries += 1
-            fits = tries <= _TRIES and m + n_lines <= points.shape[1] and n_chains + 2 <= chains.shape[1]
+            fits = tries <= _TRIES and m + h + w <= points.shape[1] and n_chains + 2 <= chains.shape[1]
             if not fits:
                 break
+            end = m
+            for _ in range(2):
+                i, j, own, least = (
+                    (row, column, newest[:h], least_steep) if kind == 0 else (column, row, newest[h:], least_flat)
+                )
+                behind = follow_ridge(image, scale, kind, i, j, least, own, half, smooth, points, heights, end)
+                if end > m:
+                    kind, end = _stronger(points, heights, m, end, behind, kind)
+                    break
+                end = behind
+                if not _diagonal(line, place, m, end):
+                    break
+                middle = (m + end) // 2
+                row, column = (line[middle], place[middle]) if kind == 0 else (place[middle], line[middle])
+                kind = 1 - kind
             own = newest[:h] if kind == 0 else newest[h:]
-            end = _grow(
-                image, scale, kind, i, j, least_flat if kind else least_steep, own, half, smooth, points, heights, m
-            )
             if end - m < SHORTEST:
                 continue
             for p in range(m, end):
@@ -219,164 +223,26 @@ def _strongest(
 
 @compiled
 @no_type_check
-def _block(
-    image: np.ndarray, scale: float, kind: int, first: int, left: int, half: np.ndarray, smooth: np.ndarray
-) -> float:
-    """Smooth eight rows (kind 0) or ten columns from the first one on, of 26 places each, the first three more than ``left``.
-
-    Line i and place j of them are at ``smooth[32 i + j]`` of rows, at ``smooth[16 j + i]`` of columns. Returns the lowest of six values at the edges.
-    """
-    h, w = image.shape
-    top, column = (first - 3, left) if kind == 0 else (left, first - 3)
-    rows, columns = (_ROWS + 6, _PLACES) if kind == 0 else (_PLACES, _WIDTH)
-    if top >= 0 and column >= 0 and top + rows <= h and column + columns <= w:
-        if kind == 0:
-            smooth_down(image, top, column, 1, _ROWS, _PLACES, scale, half)
-        else:
-            smooth_down(image, top, column, 1, _VALID, _WIDTH, scale, half)
-    else:
-        _border_block(image, scale, kind, top, column, half)
-    if kind == 0:
-        smooth_across(half, _ROWS * _PLACES, smooth)
-    else:
-        smooth_across(half, _VALID * _WIDTH, smooth)
-    n, on, beside = (_ROWS, _PLACES, 1) if kind == 0 else (_COLUMNS, 1, _WIDTH)
-    low = np.float32(np.inf)
-    for i in (0, n // 2, n - 1):
-        low = min(low, min(smooth[i * on], smooth[i * on + (_VALID - 1) * beside]))
-    return low
+def _diagonal(line: np.ndarray, place: np.ndarray, begin: int, end: int) -> bool:
+    """Whether a chain is so short, or runs so, that it may be stronger as one of the other kind."""
+    length = line[end - 1] - line[begin] if end > begin else 0
+    return length > 0 and (length < _SHORT or abs(place[end - 1] - place[begin]) > _DIAGONAL * length)
 
 
 @compiled
 @no_type_check
-def _border_block(image: np.ndarray, scale: float, kind: int, top: int, column: int, half: np.ndarray) -> None:
-    """The columns of a block near the border, smoothed; what lies beyond is mirrored."""
-    h, w = image.shape
-    block = np.empty((_PLACES, _PLACES), image.dtype)
-    for i in range(_ROWS + 6 if kind == 0 else _PLACES):
-        row = mirrored(top + i, h)
-        for j in range(_PLACES if kind == 0 else _WIDTH):
-            block[i, j] = image[row, mirrored(column + j, w)]
-    if kind == 0:
-        smooth_down(block, 0, 0, 1, _ROWS, _PLACES, scale, half)
-    else:
-        smooth_down(block, 0, 0, 1, _VALID, _WIDTH, scale, half)
-
-
-@compiled
-@no_type_check
-def _grow(
-    image: np.ndarray,
-    scale: float,
-    kind: int,
-    line: int,
-    place: int,
-    least: float,
-    newest: np.ndarray,
-    half: np.ndarray,
-    smooth: np.ndarray,
-    points: np.ndarray,
-    heights: np.ndarray,
-    m: int,
-) -> int:
-    """Put the points of a chain behind the first m, from the one at (line, place) on to both sides; returns how many there are then."""
-    end = m
-    for side in range(2):
-        first, step = (line, 1) if side else (line + 1, -1)
-        end = _follow(image, scale, kind, first, place, step, least, newest, half, smooth, points, heights, m, end)
-        if end == m:
-            break
-        for k in range(0 if side else (end - m) // 2):
-            i, j = m + k, end - 1 - k
-            for row in range(2):
-                points[row, i], points[row, j] = points[row, j], points[row, i]
-            for row in range(4):
-                heights[row, i], heights[row, j] = heights[row, j], heights[row, i]
-    return end
-
-
-@compiled
-@no_type_check
-def _is_ridge(smooth: np.ndarray, t: int, beside: int, limit: float) -> bool:
-    """Whether a value is the highest of its line within three places, and far enough above those three away."""
-    at, one, two, three = np.uint64(t), np.uint64(beside), np.uint64(2 * beside), np.uint64(3 * beside)
-    top = smooth[at]
-    higher = (top > max(smooth[at - one], smooth[at - two])) & (top >= max(smooth[at + one], smooth[at + two]))
-    return higher & (top - max(smooth[at - three], smooth[at + three]) > limit)
-
-
-@compiled
-@no_type_check
-def _nearest_ridge(smooth: np.ndarray, t: int, beside: int, limit: float, reach: int) -> int:
-    """How many places from one to the nearest ridge of its line; one more than ``reach`` if there is none as near."""
-    for d in range(reach + 1):
-        for sign in (-1, 1):
-            if _is_ridge(smooth, t + sign * d * beside, beside, limit):
-                return sign * d
-    return reach + 1
-
-
-@compiled
-@no_type_check
-def _follow(
-    image: np.ndarray,
-    scale: float,
-    kind: int,
-    line: int,
-    place: int,
-    step: int,
-    least: float,
-    newest: np.ndarray,
-    half: np.ndarray,
-    smooth: np.ndarray,
-    points: np.ndarray,
-    heights: np.ndarray,
-    begin: int,
-    m: int,
-) -> int:
-    """Append the points of a chain that lie beyond a line, step by step (1 or -1); ``begin`` is its first point. Returns how many there are then."""
-    n_lines, n_places = image.shape if kind == 0 else (image.shape[1], image.shape[0])
-    n, on, beside = (_ROWS, _PLACES, 1) if kind == 0 else (_COLUMNS, 1, _WIDTH)
-    lines, places = points[0], points[1]
-    prominence, above, between, fall = heights[0], heights[1], heights[2], heights[3]
-    first, left, low, gap = -n, 0, np.float32(0.0), 0
-    limit = np.float32(least)
-    one, two, three = np.uint64(beside), np.uint64(2 * beside), np.uint64(3 * beside)
-    while gap < GAPS:
-        line += step
-        gap += 1
-        if not 0 <= line < n_lines:
-            break
-        reach = gap + 1
-        i, j = line - first, place - left - 3
-        if i < 0 or i >= n or j < reach + 3 or j >= _VALID - reach - 3:
-            # the points of this side, or those of the side before, which went the other way, tell how it goes on
-            drift = (places[m - 1] - places[m - 1 - _BACK]) // 2 if m - begin > _BACK else 0
-            first = line if step > 0 else line - n + 1
-            left = place + drift - _MIDDLE
-            low = _block(image, scale, kind, first, left, half, smooth)
-            i, j = line - first, place - left - 3
-        t = np.uint64(i * on + j * beside)
-        v0, v1, v2, v3, v4 = smooth[t - two], smooth[t - one], smooth[t], smooth[t + one], smooth[t + two]
-        # around one top the values rise before it and fall behind it
-        at = np.int64(v1 > v0) + np.int64(v2 > v1) + np.int64(v3 > v2) + np.int64(v4 > v3) - 2
-        if not _is_ridge(smooth, i * on + (j + at) * beside, beside, limit):
-            at = _nearest_ridge(smooth, i * on + j * beside, beside, limit, reach)
-            if abs(at) > reach:
-                continue
-        now = place + at
-        if now < 3 or now >= n_places - 3:
-            continue
-        if abs(newest[np.uint64(line)] - now) <= 1:
-            break
-        to, t = np.uint64(m), np.uint64(i * on + (j + at) * beside)
-        top, before, behind = smooth[t], smooth[t - one], smooth[t + one]
-        lines[to], places[to], above[to] = line, now, top - low
-        prominence[to] = top - max(smooth[t - three], smooth[t + three])
-        between[to] = np.float32(0.5) * (behind - before) / (np.float32(2.0) * top - before - behind)
-        fall[to] = top - np.float32(0.5) * (smooth[t - two] + smooth[t + two])
-        place, gap = now, 0
-        m += 1
-        if m - begin > _BACK and abs(now - places[np.uint64(m - 1 - _BACK)]) > _STEEPEST:
-            return m - _BACK
-    return m
+def _stronger(points: np.ndarray, heights: np.ndarray, begin: int, end: int, last: int, kind: int) -> tuple[int, int]:
+    """Keep the chain with the larger sum of prominence: the one from ``begin`` to ``end``, or that behind it, of ``kind``; kind and end of it."""
+    one, other = np.float32(0.0), np.float32(0.0)
+    for k in range(begin, end):
+        one += heights[0, k]
+    for k in range(end, last):
+        other += heights[0, k]
+    if one >= other:
+        return 1 - kind, end
+    for k in range(end, last):
+        to = begin + k - end
+        points[0, to], points[1, to] = points[0, k], points[1, k]
+        for row in range(4):
+            heights[row, to] = heights[row, k]
+    return kind, begin + last - end
