@@ -1,7 +1,6 @@
-"""Grey gravity of a clear, thin stripe, in compiled loops: the tops that were found tell place and width, so one centroid a point is enough.
+"""Centres of a stripe that is not wide, block by block, in compiled loops. See :mod:`rotaline.vision.stripe.measure`.
 
-The points of a piece stand on rows or on columns one after the other, each with a strip of ``2 * half`` pixels about it. Pixels in the same place of all
-strips stand side by side, so that sums over strips are made for ``LANES`` points at once, and for four pixels of each.
+All that is done with the pixels across a block of points is done while they are at hand; nothing but what was measured is kept of them.
 """
 
 from typing import no_type_check
@@ -9,302 +8,258 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
+from rotaline.vision.stripe import block_kernels as strips
+from rotaline.vision.stripe.block_kernels import (
+    BLOCK,
+    LINE,
+    frame_block,
+    leave_out,
+    place_line,
+    read_pixels,
+    take_block,
+)
+from rotaline.vision.stripe.measure_kernels import (
+    LAG,
+    NOISE_FROM,
+    SHORT_PX,
+    SIDE_PX,
+    SIDE_WIDTHS,
+    WIDER,
+    adapt_widths,
+    stepped,
+)
+from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_floor
+from rotaline.vision.stripe.window_kernels import (
+    DIFFER,
+    LEVEL,
+    NARROW,
+    SHIFT,
+    SIZE,
+    SLOPE,
+    VARIANCE,
+    WIDE,
+    WIDTH,
+    centres_of_two,
+    straight_ground,
+)
 
-LANES = 32  # points; the strips of a piece are a multiple of it
-_F = np.float32
-_ZERO, _HALF, _UNIT, _TWO = _F(0.0), _F(0.5), _F(1.0), _F(2.0)
-_NARROW, _SIXTH, _ROOT_2PI, _NONE = _F(0.1), _F(1.0 / 6.0), _F(np.sqrt(2.0 * np.pi)), _F(np.nan)
-_SIDE = _F(3.0)  # widths: the background begins, the window ends
-_REACH, _REACH_PX = 3.5, 6.0  # widths and px to both sides, about
-_LAG, _PAIRS, _GROUPS = (
-    3,
-    16,
-    8,
-)  # points between strips whose pixels are compared; such pairs side by side; groups of them a piece
-_NOISE_FROM = _F(3.3)  # widths: pixels further out tell the noise
-MOST_PAIRS = _PAIRS * _GROUPS
-_CORE = _F(1.5)  # widths: a clipped pixel as near makes the point saturated
-_CENTRE, _LIMIT, _LOW, _HIGH, _LEVEL, _SLOPE = (k * LANES for k in range(6))
-_N, _X, _XX = (k * LANES for k in range(6, 9))  # of the pixels in the windows
-_CLIPPED, _CLIPPED_X, _CLIPPED_XX = (k * LANES for k in range(9, 12))  # of clipped ones outside
-_Q, _XQ, _XXQ = (k * LANES for k in range(12, 15))
-_RESULTS, _SIZE = 15 * LANES, 19 * LANES
+_F, _I = np.float32, np.int32
+_ZERO, _HALF, _UNIT, _TWO, _INFINITE = _F(0.0), _F(0.5), _F(1.0), _F(2.0), _F(np.inf)
+_ROUND, _NEAR, _BESIDE = _F(1024.5), _F(1e-4), _F(NOISE_FROM)
+_LEAST_PX, _MOST_PX = 0.5, 2.0  # widths of stripes that are measured here
+_POINTS_A_LINE, _MOST_APART = (
+    80,
+    5,
+)  # so many times so many points, and every second, third, ... line of the strips tells the noise
+_CORE = 1.5  # widths: a clipped pixel as near makes the point saturated
 
 
 @compiled
 @no_type_check
-def half_length(width_px: np.ndarray) -> int:
-    """Pixels of the strips of a piece on either side of the points: an even number."""
-    quarter = np.int32(0)
-    for i in range(len(width_px)):
-        quarter = max(quarter, np.int32(0.5 * (_REACH * width_px[i] + _REACH_PX)))
-    return 2 * quarter
+def _differences(
+    form: np.ndarray,
+    whole: np.ndarray,
+    s: np.ndarray,
+    line: int,
+    d: np.ndarray,
+    w: np.ndarray,
+    q: np.ndarray,
+    a: int,
+    b: int,
+    own: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Differences on one line between strips of the points ``a`` to ``b`` of a block, infinite where there is none.
+
+    As in :func:`rotaline.vision.stripe.strip_kernels.side_differences`.
+    """
+    for k in range(BLOCK):
+        place = form[strips.FRACTION + k] + (form[strips.X + k] + _F(line)) * form[strips.SLOPE + k] + _ROUND
+        e = place - _F(_I(place)) - _HALF
+        middle, beside = _F(q[k + BLOCK]), _F(q[k + 2 * BLOCK]) if e > _ZERO else _F(q[k])
+        inside = (w[k + BLOCK] > _ZERO) & (((w[k + 2 * BLOCK] if e > _ZERO else w[k]) > _ZERO) | (abs(e) < _NEAR))
+        e = abs(e)
+        own[k] = middle + e * (beside - middle)
+        own[k + 2 * BLOCK] = _UNIT - _TWO * (e - e * e)
+        own[k + 4 * BLOCK] = _ZERO if inside & (abs(d[k + BLOCK]) > _BESIDE * s[WIDTH + k]) else _INFINITE
+    for k in range(BLOCK):
+        j = k + LAG
+        gain = own[2 * BLOCK + k] + own[2 * BLOCK + j]
+        found = abs(own[j] - own[k]) / np.sqrt(gain) + own[4 * BLOCK + k] + own[4 * BLOCK + j]
+        same = whole[strips.ROWS + k] == whole[strips.ROWS + j]
+        out[k] = found if same & (k >= a) & (j < b) else _INFINITE
 
 
 @compiled
 @no_type_check
-def read_strips(
+def _clipped(
+    read: np.ndarray,
+    limit: float,
+    d: np.ndarray,
+    w: np.ndarray,
+    core_px: np.ndarray,
+    hits: np.ndarray,
+    saturated: np.ndarray,
+) -> bool:
+    """Make the weights of clipped pixels negative, and mark the points of a block that see any, and those that see them near; whether there are some."""
+    bright, top = _I(0), read.dtype.type(limit)
+    for j in range(len(read)):
+        bright = _I(bright + (read[j] >= top))
+    if bright == 0:
+        return False
+    some = False
+    for k in range(len(hits)):
+        for j in range(k, len(read), BLOCK):
+            if read[j] >= top and w[j] > _ZERO:
+                hits[k], some = True, True
+                saturated[k] |= abs(d[j]) <= core_px[k]
+                w[j] = -w[j]
+    return some
+
+
+@compiled
+@no_type_check
+def measure_clear(
     value: np.ndarray,
-    uv: np.ndarray,
-    axis: int,
+    source: np.ndarray,
+    subtracted: bool,
+    limit: float,
     size: tuple,
-    half: int,
-    lanes: int,
-    pixel: np.ndarray,
-    centre: np.ndarray,
-    level: np.ndarray,
-) -> None:
-    """Read the strips of a piece. Those that would leave the image are moved into it.
-
-    Parameters
-    ----------
-    value : (h * w,)
-    axis : 0 for strips along rows, 1 along columns
-    size : width and height of the image
-    lanes : number of points, rounded up; the last point is repeated
-    pixel, centre, level : to write: the strips' first pixels; places of the points, counted from the strips' middle pixel; the values,
-        those in place t of the strips from ``t * lanes`` on
-    """
-    m, stride, across = len(uv), (1, size[0])[axis], (size[0], 1)[axis]
-    place, line, last = uv[:, axis], uv[:, 1 - axis], float(size[axis] - 2 * half)
-    for i in range(m):
-        first = min(max(np.floor(place[i]) + (1.0 - half), 0.0), last)
-        centre[i] = place[i] - first - half
-        pixel[i] = np.int64(first * stride + np.floor(line[i] + 0.5) * across)
-    for i in range(m, lanes):
-        pixel[i], centre[i] = pixel[m - 1], centre[m - 1]
-    for t in range(np.uint64(2 * half)):
-        there, off = t * np.uint64(lanes), t * np.uint64(stride)
-        for first in range(0, lanes, LANES):
-            at = np.uint64(first)
-            for k in range(np.uint64(LANES)):
-                level[there + at + k] = value[np.uint64(pixel[at + k]) + off]
-
-
-@compiled
-@no_type_check
-def has_clipped(level: np.ndarray, limit: float) -> bool:
-    """Whether a value is at the limit or above it."""
-    number, top = np.int32(0), _F(limit)
-    for i in range(len(level)):
-        number += np.int32(level[i] >= top)
-    return number > 0
-
-
-@compiled
-@no_type_check
-def _sum_of_squares(last: float) -> float:
-    """Of the whole numbers from 1 to the last."""
-    return last * (last + _UNIT) * (_TWO * last + _UNIT) * _SIXTH
-
-
-@compiled
-@no_type_check
-def _set_windows(s: np.ndarray, centre: np.ndarray, width_px: np.ndarray, first: int, half: int) -> int:
-    """Set the windows of a group of strips, from ``first`` on, and the sums over the pixels in them; an even number of pixels to which they reach."""
-    m, reach = len(width_px), np.int32(0)
-    for k in range(LANES):
-        s[_CENTRE + k], s[_LIMIT + k] = centre[first + k], _SIDE * _F(width_px[m - 1])
-    for k in range(min(LANES, m - first)):
-        s[_LIMIT + k] = _SIDE * _F(width_px[first + k])
-    for k in range(LANES):
-        low = max(np.ceil(s[_CENTRE + k] - s[_LIMIT + k]), _F(-half))
-        high = min(np.floor(s[_CENTRE + k] + s[_LIMIT + k]), _F(half - 1))
-        count = high - low + _UNIT
-        s[_LOW + k], s[_HIGH + k] = low, high
-        s[_N + k], s[_X + k] = count, _HALF * count * (low + high)
-        s[_XX + k] = _sum_of_squares(high) - _sum_of_squares(low - _UNIT)
-    for k in range(LANES):
-        reach = max(reach, np.int32(max(-s[_LOW + k], s[_HIGH + k] + _UNIT)))
-    return (reach + 1) // 2 * 2
-
-
-@compiled
-@no_type_check
-def _add_outside(s: np.ndarray, level: np.ndarray, at: int, lanes: int, t: float) -> None:
-    """Four pixels of a group of strips, from ``t`` on: sums of the values outside of the windows."""
-    for k in range(LANES):
-        q0 = q1 = _ZERO
-        low, high = s[_LOW + k], s[_HIGH + k]
-        for j in range(4):
-            q, x = level[at + np.uint64(j * lanes + k)], t + _F(j)
-            light = q if (q == q) & ((x < low) | (x > high)) else _ZERO
-            q0, q1 = q0 + light, q1 + light * x
-        s[_Q + k] += q0
-        s[_XQ + k] += q1
-
-
-@compiled
-@no_type_check
-def _add_inside(s: np.ndarray, level: np.ndarray, at: int, lanes: int, t: float) -> None:
-    """Four pixels of a group of strips, from ``t`` on: moments of what stands above the background in the windows."""
-    for k in range(LANES):
-        q0 = q1 = q2 = _ZERO
-        low, high, ground, slope = s[_LOW + k], s[_HIGH + k], s[_LEVEL + k], s[_SLOPE + k]
-        for j in range(4):
-            q, x = level[at + np.uint64(j * lanes + k)], t + _F(j)
-            light = max(q - ground - slope * x, _ZERO) if (q == q) & (x >= low) & (x <= high) else _ZERO
-            q0, q1, q2 = q0 + light, q1 + light * x, q2 + light * (x * x)
-        s[_Q + k] += q0
-        s[_XQ + k] += q1
-        s[_XXQ + k] += q2
-
-
-@compiled
-@no_type_check
-def _leave_out(s: np.ndarray, ground: np.ndarray, at: int, half: int, lanes: int) -> None:
-    """Count clipped pixels outside of the windows as if they were inside."""
-    for t in range(2 * half):
-        x = _F(t - half)
-        for k in range(LANES):
-            q = ground[at + t * lanes + k]
-            out = _UNIT if (q != q) & ((x < s[_LOW + k]) | (x > s[_HIGH + k])) else _ZERO
-            s[_CLIPPED + k] += out
-            s[_CLIPPED_X + k] += out * x
-            s[_CLIPPED_XX + k] += out * x * x
-
-
-@compiled
-@no_type_check
-def centroids(
-    level: np.ndarray,
-    ground: np.ndarray,
-    half: int,
-    lanes: int,
-    centre: np.ndarray,
+    uv: np.ndarray,
+    starts: np.ndarray,
+    normal: np.ndarray,
     width_px: np.ndarray,
-    clipped: bool,
-    out: np.ndarray,
-) -> None:
-    """Centroid of what stands above the background within three widths of the points of a piece; all grey values count alike.
+    least_noise: float,
+) -> tuple:
+    """Centres under a window of one width, or of two where these scatter as little, of a stripe that is not wide and has no steps under it.
 
-    The ends of the window fall on whole pixels. The background is a line through what lies outside of it.
-
-    Parameters
-    ----------
-    level, ground : the ground is NaN where a pixel is clipped
-    clipped : there are such pixels
-    out : (4, n)   shifts, NaN where nothing stands above the background; uncertainties for a noise of 1; widths; heights
-    """
-    s, m = np.empty(_SIZE, _F), len(width_px)
-    all_n, all_x = _F(2 * half), _F(-half)
-    all_xx = _sum_of_squares(_F(half)) + _sum_of_squares(_F(half - 1))
-    for first in range(0, lanes, LANES):
-        reach = _set_windows(s, centre, width_px, first, half)
-        s[_CLIPPED:] = _ZERO
-        for t in range(0, 2 * half, 4):
-            _add_outside(s, ground, np.uint64(first + t * lanes), lanes, _F(t - half))
-        if clipped:
-            _leave_out(s, ground, first, half, lanes)
-        for k in range(LANES):
-            count, x = all_n - s[_N + k] - s[_CLIPPED + k], all_x - s[_X + k] - s[_CLIPPED_X + k]
-            square, q = all_xx - s[_XX + k] - s[_CLIPPED_XX + k], s[_Q + k]
-            mean, light = x / max(count, _UNIT), q / max(count, _UNIT)
-            slope = (s[_XQ + k] - mean * q) / max(square - mean * x, _HALF)
-            slope = slope if abs(mean - s[_CENTRE + k]) < s[_LIMIT + k] else _ZERO  # one side alone tells no slope
-            s[_LEVEL + k], s[_SLOPE + k] = light - slope * mean, slope
-        s[_Q:] = _ZERO
-        for t in range(half - reach, half + reach, 4):
-            _add_inside(s, level, np.uint64(first + t * lanes), lanes, _F(t - half))
-        for k in range(LANES):
-            mass = s[_Q + k]
-            place = s[_XQ + k] / mass
-            near = s[_XX + k] - _TWO * place * s[_X + k] + place * place * s[_N + k]
-            wide = np.sqrt(max(s[_XXQ + k] / mass - place * place, _NARROW))
-            s[_RESULTS + k] = place - s[_CENTRE + k] if mass > _ZERO else _NONE
-            s[_RESULTS + LANES + k] = np.sqrt(max(near, _ZERO)) / mass
-            s[_RESULTS + 2 * LANES + k], s[_RESULTS + 3 * LANES + k] = wide, mass / (_ROOT_2PI * wide)
-        for j in range(4):
-            for k in range(min(LANES, m - first)):
-                out[j, first + k] = s[_RESULTS + j * LANES + k]
-
-
-@compiled
-@no_type_check
-def differences(
-    ground: np.ndarray,
-    half: int,
-    lanes: int,
-    centre: np.ndarray,
-    width_px: np.ndarray,
-    clipped: bool,
-    out: np.ndarray,
-    m: int,
-) -> int:
-    """Differences of pixels beside a piece, of strips a few points apart and as far from the stripe, scaled to one pixel's noise.
-
-    The strips' own pixels are compared with those of the other strip as far from its centre, interpolated.
+    The same as :func:`rotaline.vision.stripe.measure_kernels.read_stripe` and
+    :func:`rotaline.vision.stripe.measure_kernels.best_centres`, without strips that are kept.
 
     Parameters
     ----------
-    clipped : there are pixels that are NaN
-    out : to write from ``m`` on
+    value, source, subtracted, limit, size, uv, starts, normal, width_px
+        See :func:`rotaline.vision.stripe.measure_kernels.read_stripe`.
+    least_noise : float   of a pixel
 
     Returns
     -------
-    int   where the differences end
+    known : bool   the stripe is such; else the rest says nothing
+    centres : (4, n)   shifts, uncertainties for a noise of 1, measured widths, heights
+    noise : (n,)   of a pixel
+    floor : float   scatter of the centres that the noise does not explain
+    clipped : bool   some pixel is
+    hits, saturated : (n,) bool   some pixel of the strip is clipped; one in the core is
+    line : (n, 3)   level at the point and slope of the background; only around points that are hit
     """
-    n_pairs = len(width_px) - _LAG
-    if n_pairs <= 0:
-        return m
-    side_by_side = min(n_pairs, _PAIRS)
-    groups = min((n_pairs + _PAIRS - 1) // _PAIRS, _GROUPS)
-    further, before, gain = np.empty(_PAIRS, _F), np.empty(_PAIRS, _F), np.empty(_PAIRS, _F)
-    for g in range(groups):
-        begin = (g * (n_pairs - side_by_side)) // max(groups - 1, 1)
-        reach, moved = np.int32(0), np.int32(0)
-        for k in range(_PAIRS):
-            c = centre[begin + k]
-            f = centre[begin + k + _LAG] - c
-            further[k], before[k] = max(f, _ZERO), min(f, _ZERO)
-            moved += np.int32((c < -_UNIT) | (c >= _ZERO) | (abs(f) >= _UNIT))
-            f = abs(f)
-            gain[k] = _UNIT / np.sqrt(_TWO - _TWO * f * (_UNIT - f))
-        for k in range(side_by_side):
-            reach = max(reach, np.int32(_NOISE_FROM * _F(width_px[begin + k])) + np.int32(1))
-        if moved > 0:  # at the image's border
-            continue
-        for beyond in range(2):  # the centres are up to one pixel before the middle pixel
-            low, high = (half + reach, 2 * half - 1) if beyond else (1, half - reach)
-            for t in range(low, high):
-                own = np.uint64(t * lanes + begin)
-                there = own + np.uint64(_LAG)
-                row, to = np.uint64(lanes), np.uint64(m)
-                for k in range(np.uint64(_PAIRS)):
-                    p = ground[there + k]
-                    q = p + further[k] * (ground[there + row + k] - p) + before[k] * (p - ground[there + k - row])
-                    out[to + k] = abs(q - ground[own + k]) * gain[k]
-                if not clipped:
-                    m += side_by_side
-                else:
-                    for k in range(m, m + side_by_side):
-                        out[m] = out[k]
-                        m += out[m] == out[m]
-    return m
+    n, n_chains = len(width_px), len(starts) - 1
+    blocks, most = (n + BLOCK - 1) // BLOCK, 2 * int(SIDE_WIDTHS * _MOST_PX + SIDE_PX + 1.0) + 1
+    centres, line = np.empty((4, n)), np.empty((n, 3))
+    hits, saturated, clipped = np.zeros(n, np.bool_), np.zeros(n, np.bool_), False
+    both, differ, width = np.zeros((8, blocks * BLOCK)), np.empty(n), np.empty(blocks * BLOCK)
+    width[:n], width[n:] = width_px, width_px[n - 1]
+    if not _narrow(width):
+        return False, centres, differ, 0.0, clipped, hits, saturated, line
+    d, w, pixel = np.empty(most * LINE, _F), np.empty(most * LINE, _F), np.empty(most * LINE, np.uint32)
+    q, bare = np.empty(most * LINE, value.dtype), np.empty(most * LINE if subtracted else 0, source.dtype)
+    at, form, whole = np.empty(4 * BLOCK), np.empty(strips.FORM, _F), np.empty(strips.WHOLE, _I)
+    s, own, wanted = np.zeros(SIZE, _F), np.zeros(6 * BLOCK, _F), np.ones(blocks, np.bool_)
+    differences, ends = np.empty((n + (n_chains + 1) * BLOCK) * most, _F), np.zeros(n_chains + 1, np.int64)
+    places, across = uv.reshape(-1), normal.reshape(-1)
+    m = chain = 0
+    noise = differ
+    for turn in range(2):
+        for block in range(blocks):
+            if not wanted[block]:
+                continue
+            begin = block * BLOCK
+            count = take_block(places, across, begin, at)
+            far = 0.0
+            for k in range(BLOCK):
+                s[WIDTH + k], s[SHIFT + k] = width[begin + k], both[0, begin + k]
+                cosine = max(abs(at[k + 2 * BLOCK]), abs(at[k + 3 * BLOCK]))
+                far = max(far, (SIDE_WIDTHS * width[begin + k] + SIDE_PX) * cosine)
+            steps = int(far + 1.0)
+            end = (2 * steps + 1) * LINE
+            inside = frame_block(at, steps, size, form, whole)
+            for a in range(0, end, LINE):
+                b = a + LINE
+                place_line(form, whole, a // LINE, d[a:b], w[a:b], pixel[a:b])
+                if not inside:
+                    leave_out(form, whole, a // LINE, size, w[a:b], pixel[a:b])
+            read_pixels(value, pixel[:end], q)
+            i, j = begin, begin + count
+            core_px = _CORE * width_px[i:j]
+            if subtracted:
+                read_pixels(source, pixel[:end], bare)
+                hit = _clipped(bare[:end], limit, d, w, core_px, hits[i:j], saturated[i:j])
+            else:
+                hit = _clipped(q[:end], limit, d, w, core_px, hits[i:j], saturated[i:j])
+            straight_ground(s, d, w, q, steps)
+            if hit:
+                clipped = True
+                for k in range(end):
+                    w[k] = abs(w[k])
+                for k in range(count):
+                    line[i + k, 0], line[i + k, 1], line[i + k, 2] = s[LEVEL + k], s[SLOPE + k], s[VARIANCE + k]
+            if turn == 0:
+                for k in range(count):
+                    differ[i + k] = s[DIFFER + k]
+                first = 0
+                while chain < n_chains and starts[chain] < j:
+                    last = min(starts[chain + 1] - begin, BLOCK)
+                    every = min(max((starts[chain + 1] - starts[chain]) // _POINTS_A_LINE, 1), _MOST_APART)
+                    for row in range(block % every, 2 * steps + 1, every):
+                        if abs(row - steps) > 2:
+                            a, b = row * LINE, (row + 1) * LINE
+                            _differences(
+                                form,
+                                whole,
+                                s,
+                                row,
+                                d[a:b],
+                                w[a:b],
+                                q[a:b],
+                                first,
+                                last,
+                                own,
+                                differences[m : m + BLOCK],
+                            )
+                            m += BLOCK
+                    if starts[chain + 1] > begin + BLOCK:
+                        break
+                    chain, first = chain + 1, last
+                    ends[chain] = m
+            centres_of_two(s, d, w, q, 2 * steps + 1, _F(SHORT_PX))
+            for r in range(4):
+                for k in range(BLOCK):
+                    both[r, begin + k] = s[NARROW + r * BLOCK + k]
+                    both[4 + r, begin + k] = s[WIDE + r * BLOCK + k]
+        if turn == 0:
+            noise = pixel_noise(differences[:m], ends, starts, least_noise)
+            _, some = stepped(differ, noise, starts)
+            more = adapt_widths(both[2], starts, width_px, width, wanted)
+            if some or not _narrow(width[:n]):
+                return False, centres, noise, 0.0, clipped, hits, saturated, line
+            if not more:
+                break
+    scatter, floor = scatter_and_floor(uv, starts, normal, both[0], both[1], noise)
+    best = 0
+    if floor >= 0.5 * scatter:  # where the noise of the pixels explains the scatter, the narrow window is the best
+        other, other_floor = scatter_and_floor(uv, starts, normal, both[4], both[5], noise)
+        if other < WIDER * scatter:
+            best, floor = 4, other_floor
+    for r in range(4):
+        for i in range(n):
+            centres[r, i] = both[best + r, i]
+    return True, centres, noise, floor, clipped, hits, saturated, line
 
 
 @compiled
 @no_type_check
-def without_clipped(
-    source: np.ndarray, limit: float, pixel: np.ndarray, stride: int, half: int, lanes: int, ground: np.ndarray
-) -> bool:
-    """Make those values NaN whose pixels are clipped; whether there are any. They say nothing about the background."""
-    found = False
-    for i in range(lanes):
-        for t in range(2 * half):
-            at = t * lanes + i
-            if source[pixel[i] + t * stride] >= limit:
-                ground[at] = _NONE
-                found = True
-    return found
-
-
-@compiled
-@no_type_check
-def saturated_points(
-    ground: np.ndarray, half: int, lanes: int, centre: np.ndarray, width_px: np.ndarray, out: np.ndarray
-) -> None:
-    """Points with a clipped pixel, which is NaN, in the core of the stripe."""
-    for i in range(len(width_px)):
-        for t in range(2 * half):
-            out[i] |= np.isnan(ground[t * lanes + i]) and abs(_F(t - half) - centre[i]) <= _CORE * width_px[i]
+def _narrow(width_px: np.ndarray) -> bool:
+    """Whether all widths are such that they can be measured here."""
+    beyond = 0
+    for w in width_px:
+        beyond += (w < _LEAST_PX) | (w > _MOST_PX)
+    return beyond == 0

@@ -6,7 +6,7 @@ import numpy as np
 
 from rotaline.geometry.compiled import compiled
 from rotaline.vision.stripe.chain_kernels import window_mean
-from rotaline.vision.stripe.clear_kernels import (
+from rotaline.vision.stripe.clear_gravity_kernels import (
     LANES,
     MOST_PAIRS,
     centroids,

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from rotaline.vision.stripe.background import Steps, fit_steps
 from rotaline.vision.stripe.centres import Centres
+from rotaline.vision.stripe.clear_kernels import measure_clear
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
 from rotaline.vision.stripe.measure_kernels import (
@@ -92,6 +93,10 @@ class _Ground:
 
 def measure(trace: Trace, plane: Plane, options: StripeOptions) -> Measured:
     """Centres and uncertainties by the chosen method."""
+    if options.method == "improved-gray-gravity":
+        measured = _clear(trace, plane)
+        if measured is not None:
+            return measured
     normal = trace.normal
     if options.method == "gray-gravity":
         uv, starts, width, along, normal = cross_lines(trace.uv, trace.starts, trace.width_px, trace.normal)
@@ -113,10 +118,7 @@ def measure(trace: Trace, plane: Plane, options: StripeOptions) -> Measured:
             fit = _fit(trace, plane, ground, np.arange(len(width)), start, width, centres.height, True)
             centres, floor = fit, _floor(trace, fit, noise)
         elif clipped:
-            hit = np.flatnonzero(strips.hits > 0)
-            fit = _fit(trace, plane, ground, hit, start[hit], width[hit], 1.5 * centres.height[hit], False)
-            centres = _replaced(centres, hit, fit, start, width)
-            floor = _floor(trace, centres, noise)
+            centres, floor = _beside_clipped(trace, plane, ground, strips.hits > 0, start, centres, noise)
         middle = start
     else:
         rough, *_ = _centres(trace, strips, ground, zero, width, noise, 1.0)
@@ -143,6 +145,37 @@ def measure(trace: Trace, plane: Plane, options: StripeOptions) -> Measured:
         else np.zeros(len(width), dtype=bool)
     )
     return Measured(trace, normal, centres, noise, floor, u_edge, saturated)
+
+
+def _clear(trace: Trace, plane: Plane) -> Measured | None:
+    """Centres by the default method of a stripe that is not wide and has no steps under it; None if it is another."""
+    value, source = plane.value, plane.source
+    known, (shift, u, wide, height), noise, floor, clipped, hits, saturated, line = measure_clear(
+        value.reshape(-1), source.reshape(-1), value is not source, float(plane.limit), plane.size, trace.uv, trace.starts,
+        trace.normal, trace.width_px, 0.29 * plane.unit,
+    )  # fmt: skip
+    if not known:
+        return None
+    centres, zero = Centres(shift, u, wide, height), np.zeros(len(shift))
+    if clipped:
+        centres, floor = _beside_clipped(trace, plane, _Ground(line), hits, zero, centres, noise)
+    return Measured(trace, trace.normal, centres, noise, float(floor), zero, saturated)
+
+
+def _beside_clipped(
+    trace: Trace,
+    plane: Plane,
+    ground: _Ground,
+    hits: Bool[np.ndarray, " n"],
+    start: Float[np.ndarray, " n"],
+    centres: Centres,
+    noise: Float[np.ndarray, " n"],
+) -> tuple[Centres, float]:
+    """Centres where those that see clipped pixels come from fits to the others; and the floor of their uncertainty."""
+    hit, width = np.flatnonzero(hits), trace.width_px
+    fit = _fit(trace, plane, ground, hit, start[hit], width[hit], 1.5 * centres.height[hit], False)
+    centres = _replaced(centres, hit, fit, start, width)
+    return centres, _floor(trace, centres, noise)
 
 
 def _improved(

@@ -11,14 +11,14 @@ from rotaline.vision.stripe.strip_kernels import BLOCK, read_strips, side_differ
 from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_floor
 
 SIDE_PX, SIDE_WIDTHS = 4.0, 4.0  # the strips reach so many widths and px to both sides
-_NOISE_FROM = 3.3  # widths: pixels further out tell the noise
-_LAG, _PAIRS = 3, 64  # points between profiles whose pixels are compared; such pairs a chain
+NOISE_FROM = 3.3  # widths: pixels further out tell the noise
+LAG, _PAIRS = 3, 64  # points between profiles whose pixels are compared; such pairs a chain
 _DIFFER = 4.0  # noises
 _AROUND = 8  # points on both sides that tell of an edge
 _LEAST_STEPPED = 5  # so few are at a corner, where the side of a point sees what the stripe turns to
 _WIDTH_TOLERANCE = 0.08  # a window may be off by this part
-_WIDER = 1.05  # a wider window, which minds the shape of the profile less, may cost so much scatter
-_SHORT_PX = 0.25  # a step is the last when it is shorter: the next would be some hundredths of it
+WIDER = 1.05  # a wider window, which minds the shape of the profile less, may cost so much scatter
+SHORT_PX = 0.25  # a step is the last when it is shorter: the next would be some hundredths of it
 
 
 @compiled
@@ -57,18 +57,28 @@ def read_stripe(
     n = len(width_px)
     far, side = np.empty(n), np.empty(n)
     for i in range(n):
-        far[i], side[i] = SIDE_WIDTHS * width_px[i] + SIDE_PX, _NOISE_FROM * width_px[i]
+        far[i], side[i] = SIDE_WIDTHS * width_px[i] + SIDE_PX, NOISE_FROM * width_px[i]
     first, count, distance, level, share, clipped, hits = read_strips(
         value, source, subtracted, limit, size, uv, normal, far, lanes
     )
-    differences, ends = side_differences(value, size, uv, normal, starts, side, far, _LAG, _PAIRS)
+    differences, ends = side_differences(value, size, uv, normal, starts, side, far, LAG, _PAIRS)
     line, sides = np.empty((n, 3)), np.empty((n, 2))
     subtract_sides(first, count, distance, level, share, clipped, hits, width_px, line, sides)
     noise = pixel_noise(differences, ends, starts, floor)
-    differ = np.empty(n)
-    some = False
+    steps, some = stepped(np.abs(sides[:, 0] - sides[:, 1]), noise, starts)
+    any_hits = False
     for i in range(n):
-        differs = abs(sides[i, 0] - sides[i, 1]) > _DIFFER * max(noise[i], 0.3)
+        any_hits |= hits[i] > 0
+    return first, count, distance, level, share, clipped, hits, line, noise, steps, some, any_hits
+
+
+@compiled
+@no_type_check
+def stepped(differ: np.ndarray, noise: np.ndarray, starts: np.ndarray) -> tuple:
+    """Where the two sides differ by more than the noise, here and around, (n,) bool; and whether that is so at points that are worth a fit."""
+    n, some = len(noise), False
+    for i in range(n):
+        differs = differ[i] > _DIFFER * max(noise[i], 0.3)
         differ[i] = differs
         some |= differs
     steps = np.zeros(n, np.bool_)
@@ -76,15 +86,12 @@ def read_stripe(
         mean = np.empty(n)
         window_mean(differ, starts, _AROUND, mean)
         some = False
-        stepped = 0
+        number = 0
         for i in range(n):
             steps[i] = mean[i] > 0.5
-            stepped += steps[i]
-        some = stepped >= _LEAST_STEPPED
-    any_hits = False
-    for i in range(n):
-        any_hits |= hits[i] > 0
-    return first, count, distance, level, share, clipped, hits, line, noise, steps, some, any_hits
+            number += steps[i]
+        some = number >= _LEAST_STEPPED
+    return steps, some
 
 
 @compiled
@@ -132,19 +139,19 @@ def best_centres(
     scatter, floor, better, wider = best_scatter, 0.0, False, False
     while True:
         weighted_centroids(
-            first, count, distance, level, share, slope_variance, start, width, window, _SHORT_PX, wanted,
+            first, count, distance, level, share, slope_variance, start, width, window, SHORT_PX, wanted,
             other_shift, other_u, other_measured, other_height,
         )  # fmt: skip
         for i in range(n):
             start[i] = start[i] if np.isnan(other_shift[i]) else other_shift[i]
         if adapt:
             adapt = False
-            if _adapt(other_measured, starts, width_px, width, wanted):
+            if adapt_widths(other_measured, starts, width_px, width, wanted):
                 continue
         wanted[:] = True
         scatter_now, floor_now = scatter_and_floor(uv, starts, normal, other_shift, other_u, noise)
-        if not better or scatter_now < _WIDER * scatter:
-            better = scatter_now < _WIDER * scatter
+        if not better or scatter_now < WIDER * scatter:
+            better = scatter_now < WIDER * scatter
             scatter, floor = scatter_now, floor_now
             shift, other_shift = other_shift, shift
             u, other_u = other_u, u
@@ -164,11 +171,11 @@ def best_centres(
 
 @compiled
 @no_type_check
-def _adapt(
+def adapt_widths(
     measured: np.ndarray, starts: np.ndarray, width_px: np.ndarray, width: np.ndarray, changed: np.ndarray
 ) -> bool:
     """Put measured widths, averaged along the stripe, in the place of ``width`` in blocks in which that matters; whether there are such."""
-    n = len(width)
+    n = len(width_px)
     bounded, better = np.empty(n), np.empty(n)
     for i in range(n):
         w = measured[i] if measured[i] > 0.0 else 1.0  # NaN where nothing was seen

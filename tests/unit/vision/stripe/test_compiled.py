@@ -7,6 +7,7 @@ import pytest
 
 from rotaline.simulation.ideal.stripes import StripeScene, render_stripe
 from rotaline.vision.stripe import chain_kernels, extract
+from rotaline.vision.stripe import measure as measuring
 from rotaline.vision.stripe.background import fit_steps
 from rotaline.vision.stripe.centre_kernels import subtract_sides, weighted_centroids
 from rotaline.vision.stripe.curve import Chains
@@ -32,6 +33,7 @@ from rotaline.vision.stripe.profiles import sample_profiles
 from rotaline.vision.stripe.row_kernels import whole_lines
 from rotaline.vision.stripe.strip_kernels import BLOCK
 from rotaline.vision.stripe.strips import strips_of
+from rotaline.vision.stripe.trace import trace_stripe
 from rotaline.vision.stripe.trace_kernels import normals
 from rotaline.vision.stripe.uncertainty_kernels import scatter_and_floor
 
@@ -94,6 +96,43 @@ def test_the_centroid_is_the_fixed_point_of_the_plain_one(sigma_px, window):
     np.testing.assert_allclose(u, expected.u_px, rtol=2e-3)
     np.testing.assert_allclose(measured, expected.width_px, rtol=2e-3)
     np.testing.assert_allclose(height, expected.height, rtol=2e-3)
+
+
+@pytest.mark.parametrize("angle_deg", [3.0, 45.0, 83.0])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"sigma_px": 0.8},
+        {"speckle_contrast": 0.1, "peak": 100.0, "sigma_px": 1.0},
+        {"peak": 300.0},
+        {"one_sided": 36.0},
+    ],
+)
+def test_block_by_block_as_from_kept_strips(angle_deg, change, monkeypatch):
+    """Centres, uncertainties, widths, heights, clipped pixels; the stripe leaves the image. Steps are left to the other way."""
+    scene = replace(BASE, **{"sigma_px": 1.4, "angle_deg": angle_deg} | change)
+    found, plane = find(render_stripe(scene, np.random.default_rng(5)), None, StripeOptions())
+    trace = trace_stripe(found, plane, 4)
+    assert trace is not None
+    at_once = measuring._clear(trace, plane)
+    monkeypatch.setattr(measuring, "_clear", lambda *_: None)
+    kept = measuring.measure(trace, plane, StripeOptions())
+    if scene.one_sided:
+        assert at_once is None
+        assert kept.u_edge_px.any()
+        return
+    assert at_once is not None
+    np.testing.assert_array_equal(at_once.saturated, kept.saturated)
+    assert at_once.saturated.any() == (scene.peak == 300.0)
+    assert at_once.noise[0] == pytest.approx(kept.noise[0], rel=0.15)
+    inner = slice(8, -8)
+    new, old = at_once.centres, kept.centres
+    u_px = np.hypot(old.u_px * kept.noise, kept.floor_px)[inner]
+    assert np.sqrt(np.mean(((new.shift_px - old.shift_px)[inner] / u_px) ** 2)) < 0.3
+    np.testing.assert_allclose(new.u_px[inner], old.u_px[inner], rtol=0.1)
+    np.testing.assert_allclose(new.width_px[inner], old.width_px[inner], rtol=0.1)
+    np.testing.assert_allclose(new.height[inner], old.height[inner], rtol=0.05)
 
 
 def test_grey_gravity_reads_only_its_own_strips():
