@@ -51,6 +51,7 @@ _POINTS_A_LINE, _MOST_APART = (
     80,
     5,
 )  # so many times so many points, and every second, third, ... line of the strips tells the noise
+_SURE_PX, _MOST_SURE = 0.1, 0.98  # uncertainty of a clear centre; part of the centres that are clear
 _CORE = 1.5  # widths: a clipped pixel as near makes the point saturated
 
 
@@ -131,7 +132,7 @@ def measure_clear(
     width_px: np.ndarray,
     least_noise: float,
 ) -> tuple:
-    """Centres under a window of one width, or of two where these scatter as little, of a stripe that is not wide and has no steps under it.
+    """Centres under a window of one width, or of two where these scatter as little, of a clear stripe that is not wide and has no steps under it.
 
     The same as :func:`rotaline.vision.stripe.measure_kernels.read_stripe` and
     :func:`rotaline.vision.stripe.measure_kernels.best_centres`, without strips that are kept.
@@ -239,7 +240,7 @@ def measure_clear(
             noise = pixel_noise(differences[:m], ends, starts, least_noise)
             _, some = stepped(differ, noise, starts)
             more = adapt_widths(both[2], starts, width_px, width, wanted)
-            if some or not _narrow(width[:n]):
+            if some or not _narrow(width[:n]) or _faint(both[1], noise):
                 return False, centres, noise, 0.0, clipped, hits, saturated, line
             if not more:
                 break
@@ -253,6 +254,16 @@ def measure_clear(
         for i in range(n):
             centres[r, i] = both[best + r, i]
     return True, centres, noise, floor, clipped, hits, saturated, line
+
+
+@compiled
+@no_type_check
+def _faint(u_px: np.ndarray, noise: np.ndarray) -> bool:
+    """Whether more than a few of the centres are so uncertain that the stripe is not clear there; those that were not found are."""
+    sure = 0
+    for i in range(len(noise)):
+        sure += u_px[i] * noise[i] <= _SURE_PX
+    return sure < _MOST_SURE * len(noise)
 
 
 @compiled

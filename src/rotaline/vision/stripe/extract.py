@@ -10,7 +10,7 @@ from rotaline.vision.images import Image
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.ends import average_along
 from rotaline.vision.stripe.find import find
-from rotaline.vision.stripe.gravity import measure_clear, measure_on_lines
+from rotaline.vision.stripe.gravity import clear_points_of, measure_on_lines
 from rotaline.vision.stripe.judge_kernels import sound_points
 from rotaline.vision.stripe.measure import Measured, measure
 from rotaline.vision.stripe.model import StripePoints
@@ -44,7 +44,7 @@ def extract_stripe(image: Image, background: Image | None = None, options: Strip
     found, plane = find(image, background, options)
     least = max(SHORTEST, int(options.min_length_px)) if found.crowded else SHORTEST
     on_lines = options.method == "gray-gravity"
-    judged = measure_clear(found, plane, least, options) if on_lines else None
+    judged = clear_points_of(found, plane, least, options) if on_lines else None
     if judged is None:
         measured = measure_on_lines(found, plane) if on_lines else None
         if measured is None:

@@ -14,7 +14,7 @@ _LEAST_NOISE = 0.29  # grey values of an 8 bit image: that of rounding
 _LEAST_SIZE = 48  # px; the strips of a stripe that is not wide have room
 
 
-def measure_clear(found: FoundStripe, plane: Plane, least: int, options: StripeOptions) -> tuple | None:
+def clear_points_of(found: FoundStripe, plane: Plane, least: int, options: StripeOptions) -> tuple | None:
     """The points of a clear stripe that is not wide, measured and judged; None where it is not such a stripe.
 
     Returns

@@ -15,7 +15,7 @@ from rotaline.vision.stripe.direction_kernels import local_lines
 from rotaline.vision.stripe.extract import StripeOptions, extract_stripe
 from rotaline.vision.stripe.find import find
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
-from rotaline.vision.stripe.gravity import measure_clear
+from rotaline.vision.stripe.gravity import clear_points_of
 from rotaline.vision.stripe.gravity_kernels import line_normals
 from rotaline.vision.stripe.judge_kernels import sound_ends
 from rotaline.vision.stripe.measure_kernels import best_centres
@@ -192,9 +192,9 @@ def test_grey_gravity_from_the_tops_is_that_from_a_bell(angle_deg, peak, rtol, m
     options = StripeOptions(method="gray-gravity")
     found, plane = find(image, None, options)
     assert found.clear
-    assert measure_clear(found, plane, 4, options) is not None
+    assert clear_points_of(found, plane, 4, options) is not None
     from_tops = extract_stripe(image, None, options)
-    monkeypatch.setattr(extract, "measure_clear", lambda *_: None)
+    monkeypatch.setattr(extract, "clear_points_of", lambda *_: None)
     from_bell = extract_stripe(image, None, options)
     line = 0 if angle_deg < 45.0 else 1
     _, one, other = np.intersect1d(from_tops.uv[:, line], from_bell.uv[:, line], return_indices=True)
@@ -210,7 +210,7 @@ def test_grey_gravity_in_an_image_too_small_for_strips():
     image = render_stripe(replace(BASE, image_size=(160, 44), sigma_px=1.2, angle_deg=2.0), np.random.default_rng(5))
     options = StripeOptions(method="gray-gravity")
     found, plane = find(image, None, options)
-    assert measure_clear(replace(found, clear=True), plane, 4, options) is None
+    assert clear_points_of(replace(found, clear=True), plane, 4, options) is None
     assert len(extract_stripe(image, None, options)) > 150
 
 
