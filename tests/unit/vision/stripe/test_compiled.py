@@ -135,6 +135,16 @@ def test_block_by_block_as_from_kept_strips(angle_deg, change, monkeypatch):
     np.testing.assert_allclose(new.height[inner], old.height[inner], rtol=0.05)
 
 
+def test_faint_centres_are_left_to_kept_strips():
+    for peak, clear in ((100.0, True), (9.0, False)):
+        image = render_stripe(replace(BASE, sigma_px=1.2, peak=peak, noise=1.0), np.random.default_rng(5))
+        found, plane = find(image, None, StripeOptions())
+        trace = trace_stripe(found, plane, 4)
+        assert trace is not None
+        assert (measuring._clear(trace, plane) is not None) == clear
+        assert len(extract_stripe(image)) > 100
+
+
 def test_grey_gravity_reads_only_its_own_strips():
     """A wide stripe is traced and then measured on strips of one pixel a line: the same bits each time, whatever stands in memory beside them."""
     image = render_stripe(replace(BASE, sigma_px=4.0), np.random.default_rng(2))
