@@ -60,6 +60,14 @@ def median_of(values: np.ndarray, n: int) -> float:
 
 @compiled
 @no_type_check
+def copy_values(values: np.ndarray, out: np.ndarray) -> None:
+    """Copy values to where ``out`` begins."""
+    for i in range(len(values)):
+        out[i] = values[i]
+
+
+@compiled
+@no_type_check
 def starts_of(chain: np.ndarray) -> np.ndarray:
     """Where each chain starts, and where the last one stops."""
     n = len(chain)

@@ -5,7 +5,7 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.chain_kernels import alike, break_chains, median_of
+from rotaline.vision.stripe.chain_kernels import alike, break_chains, copy_values, median_of
 from rotaline.vision.stripe.piece_kernels import LEAST_PART, SLENDER
 
 _REFERENCE, _MOST = 12, 6  # points that say how a piece goes on; points taken from an end
@@ -91,14 +91,6 @@ def sound_ends(uv: np.ndarray, width: np.ndarray, index: np.ndarray, starts: np.
 
 @compiled
 @no_type_check
-def _copy(values: np.ndarray, out: np.ndarray) -> None:
-    """Copy values to where ``out`` begins."""
-    for i in range(len(values)):
-        out[i] = values[i]
-
-
-@compiled
-@no_type_check
 def sound_points(
     uv: np.ndarray,
     starts: np.ndarray,
@@ -169,12 +161,12 @@ def sound_points(
             i, run = index[j], 1
             while j + run < end[c] and index[j + run] == i + run:
                 run += 1
-            _copy(moved[2 * i : 2 * (i + run)], out[0, 2 * m :])
-            _copy(across[2 * i : 2 * (i + run)], out[1, 2 * m :])
-            _copy(wide[i : i + run], values[0, m:])
-            _copy(height[i : i + run], values[1, m:])
-            _copy(u[i : i + run], values[2, m:])
-            _copy(saturated[i : i + run], top[m:])
+            copy_values(moved[2 * i : 2 * (i + run)], out[0, 2 * m :])
+            copy_values(across[2 * i : 2 * (i + run)], out[1, 2 * m :])
+            copy_values(wide[i : i + run], values[0, m:])
+            copy_values(height[i : i + run], values[1, m:])
+            copy_values(u[i : i + run], values[2, m:])
+            copy_values(saturated[i : i + run], top[m:])
             m, j = m + run, j + run
         segment[first:m] = pieces
         widths, heights = values[0, first:m], values[1, first:m]

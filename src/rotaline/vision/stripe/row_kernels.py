@@ -5,7 +5,7 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.chain_kernels import starts_of, window_mean
+from rotaline.vision.stripe.chain_kernels import copy_values, starts_of, window_mean
 from rotaline.vision.stripe.strip_kernels import BLOCK
 
 _UNDECIDED, _UNDECIDED_SQUARES = 0.15, 0.21  # difference of the normal's components, and of their squares
@@ -154,14 +154,6 @@ def _balance(uv: np.ndarray, balance: np.ndarray) -> None:
 
 @compiled
 @no_type_check
-def _copy(values: np.ndarray, out: np.ndarray) -> None:
-    """Copy values to where ``out`` begins."""
-    for i in range(len(values)):
-        out[i] = values[i]
-
-
-@compiled
-@no_type_check
 def _squares(balance: np.ndarray, sign: float, spread_px2: np.ndarray, stretch: np.ndarray, wide: np.ndarray) -> None:
     """Stretch and width of points that stand where they were found, on rows (``sign`` is 1) or columns (-1)."""
     for i in range(len(balance)):
@@ -211,7 +203,7 @@ def whole_lines(uv: np.ndarray, chain: np.ndarray, spread_px2: np.ndarray) -> tu
             stop, later = _same_kind(balance, begin, end, steep, _UNDECIDED_SQUARES)
             last = m + stop - begin
             if whole and steep == rows:
-                _copy(found[2 * begin : 2 * stop], pairs[2 * m :])
+                copy_values(found[2 * begin : 2 * stop], pairs[2 * m :])
                 _squares(balance[begin:stop], sign, spread_px2[begin:stop], stretch[m:], wide[m:])
             else:
                 last = _cross(uv, begin, stop, 1 if steep else 0, points, after, part, m)
