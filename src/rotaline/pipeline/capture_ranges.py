@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import fields
 from functools import cached_property
 
@@ -10,8 +11,9 @@ from jaxtyping import Int
 
 from rotaline.calibration.model import SystemCalibration
 from rotaline.errors import SessionError, WorkError
-from rotaline.geometry.compiled import machine_code_stored
+from rotaline.io.frame_images import read_source
 from rotaline.io.session import Capture
+from rotaline.pipeline.compiling import compile_if_missing
 from rotaline.pipeline.frames import CaptureStripes, join_stripes
 from rotaline.pipeline.observer import LOG, Observer
 from rotaline.pipeline.options import Options
@@ -74,8 +76,8 @@ class CaptureRanges:
         self._observer.stage(title, stored=not missing)
         if missing and done:
             self._observer.note(f"{done} of {len(self._spans)} ranges of frames are there from before")
-        if missing and not machine_code_stored("find_kernels"):
-            self._observer.note("compiling for this processor first: half a minute or more, this one time")
+        if missing:
+            self._compile()
         begin = last_result = time.perf_counter()
         earlier = 0.0
         fresh = self._store.workers.run(process_range, (self._task(s, system) for s in self._spans if s in missing))
@@ -154,6 +156,13 @@ class CaptureRanges:
             clouds.append(range_cloud(stripes, span[0], system, self._options.scan.max_u_mm))
         names = [field.name for field in fields(PointCloud)]
         return PointCloud(*(np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in names))
+
+    def _compile(self) -> None:
+        """Compile what frames like the first one need."""
+        with suppress(SessionError):  # it is named when its turn comes
+            image = read_source(self._frames[0].source)
+            has_background = any(background is not None for background in self._backgrounds)
+            compile_if_missing(self._observer.note, image, has_background, self._options.stripe)
 
     def _stored(self, span: tuple[int, int], system: SystemCalibration | None) -> tuple[RangeResult, float]:
         """A range that is in the store, and the seconds that it took; one that is damaged is done again."""

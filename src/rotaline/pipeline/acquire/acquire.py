@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from rotaline.errors import DeviceError, DeviceStateError, LostFrameError
 from rotaline.hardware.camera import CameraFrame
 from rotaline.hardware.rig import OpenRig
@@ -36,6 +38,7 @@ from rotaline.pipeline.acquire.tasks import (
     unfinished_pose,
     wanted_images,
 )
+from rotaline.pipeline.compiling import compile_if_missing
 from rotaline.pipeline.observer import Observer
 
 HOMING_S = 300.0
@@ -96,6 +99,7 @@ def acquire(
         If frames cannot be written.
     """
     require_devices(plan, rig, person)
+    compile_if_missing(observer.note, np.zeros((1, 1), dtype=np.uint8))  # not while the laser is on
     with AcquiredSession(out, plan.text, rig_text) as session, FrameWriter(session) as writer:
         try:
             acquired = _Run(plan, rig, session, writer, person, observer, watch).all_captures()

@@ -12,6 +12,7 @@ from rotaline.hardware.camera import CameraFrame, Image
 from rotaline.hardware.laser import Laser
 from rotaline.io.rig_check_file import Level
 from rotaline.pipeline.acquire.exposure import expose_stripe
+from rotaline.pipeline.compiling import compile_if_missing
 from rotaline.pipeline.rig_check.bench import LONGEST_US, Bench
 from rotaline.vision.images import to_grey
 from rotaline.vision.stripe.extract import StripePoints, extract_stripe
@@ -42,8 +43,9 @@ def check_laser(bench: Bench) -> None:
     """
     laser, camera = bench.rig.laser, bench.rig.camera
     assert laser is not None
-    bench.heard(SAFETY)
     before = bench.take()
+    compile_if_missing(bench.heard, before.image)  # not while the laser is on
+    bench.heard(SAFETY)
     laser.on()
     for _ in range(_LONGEST_SERIES):  # the light may be late
         lit = bench.take()

@@ -10,6 +10,7 @@ from rotaline.vision.images import Image
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.ends import average_along
 from rotaline.vision.stripe.find import find
+from rotaline.vision.stripe.found import FoundStripe
 from rotaline.vision.stripe.gravity import clear_points_of, measure_on_lines
 from rotaline.vision.stripe.judge_kernels import sound_points
 from rotaline.vision.stripe.measure import Measured, measure
@@ -41,7 +42,11 @@ def extract_stripe(image: Image, background: Image | None = None, options: Strip
     ValueError
         If the two images differ in shape or type.
     """
-    found, plane = find(image, background, options)
+    return measure_found(*find(image, background, options), options)
+
+
+def measure_found(found: FoundStripe, plane: Plane, options: StripeOptions) -> StripePoints:
+    """Centre points of a stripe that was found: what is left to do for :func:`extract_stripe`."""
     least = max(SHORTEST, int(options.min_length_px)) if found.crowded else SHORTEST
     on_lines = options.method == "gray-gravity"
     judged = clear_points_of(found, plane, least, options) if on_lines else None
