@@ -15,7 +15,6 @@ from rotaline.vision.stripe.explain_kernels import (
     WING,
     count_bits,
     cover,
-    even_bytes,
     left_over,
     off_border,
     too_wide,
@@ -42,7 +41,7 @@ _DIAGONAL, _SHORT = 0.8, 16
 _BESIDE = 1.0  # px that a chain covers; grown chains meet where one turns into the other
 _TRIES = 8  # ridges of a tile that are tried; where there are more, tiles are searched
 _FAINT, _EAGER = 3.0, 0.8  # limits: in tiles that are no higher, light begins earlier as long as chains are looked for
-_U1 = np.uint64(1)
+_U1, _U2, _U8 = np.uint64(1), np.uint64(2), np.uint64(8)
 _NOT_FIRST, _NOT_LAST = np.uint64(0xFEFEFEFEFEFEFEFE), np.uint64(0x7F7F7F7F7F7F7F7F)  # columns of eight
 
 
@@ -89,15 +88,11 @@ def grow(
     newest = np.full(h + w, -9, np.int32)  # place of the last chain on each row, and column
     number_tiles(queue, n_tiles, number)
     dim = DIM * min(least_steep, least_flat)
-    high, sums, marks = (
-        height.reshape(-1),
-        np.zeros(TILE * TILE // 2 + 1, np.int32),
-        np.empty(TILE * TILE // 2, np.uint8),
-    )
+    high = height.reshape(-1)
     for k in range(n_tiles):
         high[k] = scale * stands[0, k]
         least = max(dim * (_EAGER if high[k] < _FAINT * dim else 1.0), WING * high[k])
-        light[k] = _light(image, scale, queue[k] // columns, queue[k] % columns, stands[1, k], least, sums, marks)
+        light[k] = _light(image, scale, queue[k] // columns, queue[k] % columns, stands[1, k], least)
     start[0] = 0
     n_chains, m, fits = 0, 0, True
     for k in range(n_tiles):
@@ -155,7 +150,7 @@ def grow(
         for k in range(n_tiles):
             if light[k]:
                 a, b = queue[k] // columns, queue[k] % columns
-                light[k] &= _light(image, scale, a, b, stands[1, k], max(dim, WING * high[k]), sums, marks)
+                light[k] &= _light(image, scale, a, b, stands[1, k], max(dim, WING * high[k]))
                 light[k] = off_border(light[k], a * TILE, b * TILE, h, w) if high[k] > dim else np.uint64(0)
         left = left_over(n_tiles, rows, columns, high, queue, number, light, order[2])
     chosen = choose(
@@ -166,32 +161,20 @@ def grow(
 
 @compiled
 @no_type_check
-def _light(
-    image: np.ndarray, scale: float, a: int, b: int, dark: float, least: float, sums: np.ndarray, marks: np.ndarray
-) -> int:
-    """Bright pixels of a tile, of 2 x 2 each, bit ``8 i + j`` for those from (2 i, 2 j) on; ``least`` is how far they stand above what is dark around.
-
-    ``sums``, zeros at first, and ``marks`` are work space.
-    """
+def _light(image: np.ndarray, scale: float, a: int, b: int, dark: float, least: float) -> int:
+    """Bright pixels of a tile, of 2 x 2 each, bit ``8 i + j`` for those from (2 i, 2 j) on; ``least`` is how far they stand above what is dark around."""
     h, w = image.shape
     top, left = a * TILE, b * TILE
     limit, bits = np.int32(4.0 * (dark + least / scale)), np.uint64(0)
-    if top + TILE < h and left + TILE < w:
-        for i in range(TILE // 2):
-            r, c = np.uint64(top + 2 * i), np.uint64(left)
-            for j in range(np.uint64(TILE)):
-                sums[np.uint64(TILE * i) + j] = np.int32(image[r, c + j]) + np.int32(image[r + _U1, c + j])
-        for t in range(TILE * TILE // 2):
-            marks[t] = np.uint8(sums[t] + sums[t + 1] > limit)
-        words = marks.view(np.uint64)
-        for i in range(TILE):
-            bits |= even_bytes(words[i]) << np.uint64(4 * i)
-        return bits
-    for i in range(top, min(top + TILE, h - 1), 2):
-        for j in range(left, min(left + TILE, w - 1), 2):
-            total = np.int32(image[i, j]) + np.int32(image[i, j + 1])
-            total += np.int32(image[i + 1, j]) + np.int32(image[i + 1, j + 1])
-            bits |= np.uint64(total > limit) << np.uint64(4 * (i - top) + (j - left) // 2)
+    rows, columns = np.uint64(min(TILE, h - top) // 2), np.uint64(min(TILE, w - left) // 2)
+    for i in range(rows):
+        r, row = np.uint64(top) + _U2 * i, np.uint64(0)
+        for j in range(columns):
+            c = np.uint64(left) + _U2 * j
+            total = np.int32(image[r, c]) + np.int32(image[r, c + _U1])
+            total += np.int32(image[r + _U1, c]) + np.int32(image[r + _U1, c + _U1])
+            row |= np.uint64(total > limit) << j
+        bits |= row << _U8 * i
     return bits
 
 
@@ -202,7 +185,7 @@ def _strongest(
 ) -> tuple[int, int, int]:
     """Kind, row and column of the ridge in the light of a tile, or right beside it, that stands out most; kind -1 if there is none."""
     near = light | (light << _U1) & _NOT_FIRST | (light >> _U1) & _NOT_LAST
-    near |= near << np.uint64(8) | near >> np.uint64(8)
+    near |= near << _U8 | near >> _U8
     words = peaks.reshape(-1).view(np.uint64)
     best, kind, row, column = np.float32(0.0), -1, 0, 0
     for own in range(2):
