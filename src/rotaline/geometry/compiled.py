@@ -21,6 +21,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -64,3 +67,20 @@ def compiled(function: F) -> F:
     return cast(
         F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath, forceinline=True)(function)
     )
+
+
+@intrinsic
+def prefetch(_: Any, image: Any, row: Any, column: Any) -> Any:
+    """Have the memory around a pixel brought near, without waiting for it; a pixel beyond the image does no harm. For kernels only."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        at = cgutils.get_item_pointer(context, builder, signature.args[0], array, arguments[1:])
+        whole, byte = ir.IntType(32), cgutils.voidptr_t
+        kind = ir.FunctionType(ir.VoidType(), [byte, whole, whole, whole])
+        function = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
+        for_reading, keep, data = whole(0), whole(3), whole(1)
+        builder.call(function, [builder.bitcast(at, byte), for_reading, keep, data])
+        return context.get_dummy_value()
+
+    return types.void(image, row, column), emit

@@ -9,12 +9,13 @@ from typing import no_type_check
 
 import numpy as np
 
-from rotaline.geometry.compiled import compiled
+from rotaline.geometry.compiled import compiled, prefetch
 
 TILE, BLOCK_ROWS, BLOCK_COLUMNS = 16, 28, 32
 SMOOTH_SIZE = 22 * BLOCK_COLUMNS
 FIRST = 3 * BLOCK_COLUMNS + 5  # of the tile in its smoothed block
 _ABOVE, _LEFT = 6, 8  # of the tile in its block
+_LINE = 64  # bytes of memory that come at once
 _U1, _U2, _U3, _U4, _U5, _U6, _U8, _U12, _U16 = (np.uint64(k) for k in (1, 2, 3, 4, 5, 6, 8, 12, 16))
 ONES = np.uint64(0x0101010101010101)  # eight bytes, each of them 1
 _weights = np.exp(-0.5 * np.arange(4.0) ** 2)
@@ -43,10 +44,13 @@ def sweep(image: np.ndarray, tops: np.ndarray, lows: np.ndarray) -> None:
 @compiled
 @no_type_check
 def _raise_to(image: np.ndarray, i: int, high: np.ndarray) -> None:
-    """Raise the values in ``high`` to those of the four rows from row i on."""
+    """Raise the values in ``high`` to those of the four rows from row i on; the next four are on their way meanwhile."""
     # unsigned numbers never count from the end, which makes faster loops
     r, last = np.uint64(i), np.uint64(image.shape[0] - 1)
     r1, r2, r3 = min(r + _U1, last), min(r + _U2, last), min(r + _U3, last)
+    for j in range(0, image.shape[1], _LINE // image.itemsize):
+        for row in range(i + 4, i + 8):
+            prefetch(image, row, j)
     for j in range(np.uint64(image.shape[1])):
         high[j] = max(high[j], max(max(image[r, j], image[r1, j]), max(image[r2, j], image[r3, j])))
 
