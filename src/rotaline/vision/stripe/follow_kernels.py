@@ -13,10 +13,8 @@ from rotaline.vision.stripe.link_kernels import GAPS
 from rotaline.vision.stripe.tile_kernels import mirrored, smooth_across, smooth_down
 
 _ROWS, _COLUMNS = 8, 10  # lines of a block
-_PLACES = 32  # of a block, three more on each side than are used
+_PLACES, _HEIGHT = 32, 26  # places of a block of rows, and of columns, three more on each side than are used
 _WIDTH = 16  # of a block of columns, three more on each side than are used
-_MIDDLE = _PLACES // 2
-_VALID = _PLACES - 6
 _BACK, _STEEPEST = 8, 10  # lines; places: what goes further within so many lines is of the other kind
 
 
@@ -25,28 +23,28 @@ _BACK, _STEEPEST = 8, 10  # lines; places: what goes further within so many line
 def _block(
     image: np.ndarray, scale: float, kind: int, first: int, left: int, half: np.ndarray, smooth: np.ndarray
 ) -> float:
-    """Smooth eight rows (kind 0) or ten columns from the first one on, of 26 places each, the first three more than ``left``.
+    """Smooth eight rows (kind 0) of 26 places, or ten columns of 20, from the first one on; the first place is three more than ``left``.
 
     Line i and place j of them are at ``smooth[32 i + j]`` of rows, at ``smooth[16 j + i]`` of columns. Returns the lowest of six values at the edges.
     """
     h, w = image.shape
     top, column = (first - 3, left) if kind == 0 else (left, first - 3)
-    rows, columns = (_ROWS + 6, _PLACES) if kind == 0 else (_PLACES, _WIDTH)
+    rows, columns = (_ROWS + 6, _PLACES) if kind == 0 else (_HEIGHT, _WIDTH)
     if top >= 0 and column >= 0 and top + rows <= h and column + columns <= w:
         if kind == 0:
             smooth_down(image, top, column, 1, _ROWS, _PLACES, scale, half)
         else:
-            smooth_down(image, top, column, 1, _VALID, _WIDTH, scale, half)
+            smooth_down(image, top, column, 1, _HEIGHT - 6, _WIDTH, scale, half)
     else:
         _border_block(image, scale, kind, top, column, half)
     if kind == 0:
         smooth_across(half, _ROWS * _PLACES, smooth)
     else:
-        smooth_across(half, _VALID * _WIDTH, smooth)
-    n, on, beside = (_ROWS, _PLACES, 1) if kind == 0 else (_COLUMNS, 1, _WIDTH)
+        smooth_across(half, (_HEIGHT - 6) * _WIDTH, smooth)
+    n, on, beside, used = (_ROWS, _PLACES, 1, _PLACES - 6) if kind == 0 else (_COLUMNS, 1, _WIDTH, _HEIGHT - 6)
     low = np.float32(np.inf)
     for i in (0, n // 2, n - 1):
-        low = min(low, min(smooth[i * on], smooth[i * on + (_VALID - 1) * beside]))
+        low = min(low, min(smooth[i * on], smooth[i * on + (used - 1) * beside]))
     return low
 
 
@@ -56,14 +54,14 @@ def _border_block(image: np.ndarray, scale: float, kind: int, top: int, column: 
     """The columns of a block near the border, smoothed; what lies beyond is mirrored."""
     h, w = image.shape
     block = np.empty((_PLACES, _PLACES), image.dtype)
-    for i in range(_ROWS + 6 if kind == 0 else _PLACES):
+    for i in range(_ROWS + 6 if kind == 0 else _HEIGHT):
         row = mirrored(top + i, h)
         for j in range(_PLACES if kind == 0 else _WIDTH):
             block[i, j] = image[row, mirrored(column + j, w)]
     if kind == 0:
         smooth_down(block, 0, 0, 1, _ROWS, _PLACES, scale, half)
     else:
-        smooth_down(block, 0, 0, 1, _VALID, _WIDTH, scale, half)
+        smooth_down(block, 0, 0, 1, _HEIGHT - 6, _WIDTH, scale, half)
 
 
 @compiled
@@ -139,7 +137,7 @@ def _follow(
 ) -> int:
     """Append the points of a chain that lie beyond a line, step by step (1 or -1); ``begin`` is its first point. Returns how many there are then."""
     n_lines, n_places = image.shape if kind == 0 else (image.shape[1], image.shape[0])
-    n, on, beside = (_ROWS, _PLACES, 1) if kind == 0 else (_COLUMNS, 1, _WIDTH)
+    n, on, beside, used = (_ROWS, _PLACES, 1, _PLACES - 6) if kind == 0 else (_COLUMNS, 1, _WIDTH, _HEIGHT - 6)
     lines, places = points[0], points[1]
     prominence, above, between, fall = heights[0], heights[1], heights[2], heights[3]
     first, left, low, gap = -n, 0, np.float32(0.0), 0
@@ -152,11 +150,11 @@ def _follow(
             break
         reach = gap + 1
         i, j = line - first, place - left - 3
-        if i < 0 or i >= n or j < reach + 3 or j >= _VALID - reach - 3:
+        if i < 0 or i >= n or j < reach + 3 or j >= used - reach - 3:
             # the points of this side, or those of the side before, which went the other way, tell how it goes on
             drift = (places[m - 1] - places[m - 1 - _BACK]) // 2 if m - begin > _BACK else 0
             first = line if step > 0 else line - n + 1
-            left = place + drift - _MIDDLE
+            left = place + drift - used // 2 - 3
             low = _block(image, scale, kind, first, left, half, smooth)
             i, j = line - first, place - left - 3
         t = np.uint64(i * on + j * beside)
