@@ -159,7 +159,7 @@ def _descending(values: np.ndarray) -> np.ndarray:
 def median(values: np.ndarray) -> float:
     """Median of float32 values; of an even number of them the mean of the two in the middle.
 
-    Whole numbers in the same order are halved until one is left: counting them is quick.
+    The range of whole numbers in the same order is halved until one is left, and ends at those that there are: counting them is quick.
     """
     n = len(values)
     keys, result = values.view(np.int32).copy(), np.empty(2, np.int32)
@@ -171,13 +171,15 @@ def median(values: np.ndarray) -> float:
     least = low
     while low < high:
         middle = np.int32((np.int64(low) + np.int64(high)) >> 1)
-        count = np.int32(0)
+        count, under, over = np.int32(0), low, high
         for k in range(n):
-            count += np.int32(keys[k] <= middle)
+            lower = keys[k] <= middle
+            count += np.int32(lower)
+            under, over = max(under, keys[k] if lower else low), min(over, high if lower else keys[k])
         if 2 * count > n:
-            high = middle
+            high = under
         else:
-            low = np.int32(middle + 1)
+            low = over
     count, before = np.int32(0), least
     for k in range(n):
         count += np.int32(keys[k] < low)
