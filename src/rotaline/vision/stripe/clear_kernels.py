@@ -30,6 +30,7 @@ from rotaline.vision.stripe.measure_kernels import (
 )
 from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_floor
 from rotaline.vision.stripe.window_kernels import (
+    BEYOND,
     DIFFER,
     LEVEL,
     NARROW,
@@ -52,33 +53,46 @@ _POINTS_A_LINE, _MOST_APART = (
     5,
 )  # so many times so many points, and every second, third, ... line of the strips tells the noise
 _SURE_PX, _MOST_SURE = 0.1, 0.98  # uncertainty of a clear centre; part of the centres that are clear
+_SEEN = 6.0  # widths: what is further out has no weight under the wide window
 _CORE = 1.5  # widths: a clipped pixel as near makes the point saturated
+
+
+@compiled
+@no_type_check
+def _pairs(whole: np.ndarray, a: int, b: int, apart: np.ndarray) -> None:
+    """Infinity where a point of a block and the one it is compared with are not both of the points ``a`` to ``b``, on lines of one kind; else 0."""
+    for k in range(BLOCK):
+        apart[k] = _INFINITE
+    for k in range(a, b - LAG):
+        same = whole[strips.ROWS + k] == whole[strips.ROWS + k + LAG]
+        apart[k] = _ZERO if same else _INFINITE
 
 
 @compiled
 @no_type_check
 def _differences(
     form: np.ndarray,
-    whole: np.ndarray,
     s: np.ndarray,
     line: int,
     d: np.ndarray,
     w: np.ndarray,
     q: np.ndarray,
-    a: int,
-    b: int,
+    apart: np.ndarray,
     own: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Differences on one line between strips of the points ``a`` to ``b`` of a block, infinite where there is none.
+    """Differences on one line between strips of points of a block that are not ``apart``, infinite where there is none.
 
     As in :func:`rotaline.vision.stripe.strip_kernels.side_differences`.
     """
+    beyond = _F(line)
     for k in range(BLOCK):
-        place = form[strips.FRACTION + k] + (form[strips.X + k] + _F(line)) * form[strips.SLOPE + k] + _ROUND
+        place = form[strips.FRACTION + k] + (form[strips.X + k] + beyond) * form[strips.SLOPE + k] + _ROUND
         e = place - _F(_I(place)) - _HALF
-        middle, beside = _F(q[k + BLOCK]), _F(q[k + 2 * BLOCK]) if e > _ZERO else _F(q[k])
-        inside = (w[k + BLOCK] > _ZERO) & (((w[k + 2 * BLOCK] if e > _ZERO else w[k]) > _ZERO) | (abs(e) < _NEAR))
+        lower, middle, upper = _F(q[k]), _F(q[k + BLOCK]), _F(q[k + 2 * BLOCK])
+        under, over = w[k], w[k + 2 * BLOCK]
+        beside, there = upper if e > _ZERO else lower, over if e > _ZERO else under
+        inside = (w[k + BLOCK] > _ZERO) & ((there > _ZERO) | (abs(e) < _NEAR))
         e = abs(e)
         own[k] = middle + e * (beside - middle)
         own[k + 2 * BLOCK] = _UNIT - _TWO * (e - e * e)
@@ -86,9 +100,7 @@ def _differences(
     for k in range(BLOCK):
         j = k + LAG
         gain = own[2 * BLOCK + k] + own[2 * BLOCK + j]
-        found = abs(own[j] - own[k]) / np.sqrt(gain) + own[4 * BLOCK + k] + own[4 * BLOCK + j]
-        same = whole[strips.ROWS + k] == whole[strips.ROWS + j]
-        out[k] = found if same & (k >= a) & (j < b) else _INFINITE
+        out[k] = abs(own[j] - own[k]) / np.sqrt(gain) + own[4 * BLOCK + k] + own[4 * BLOCK + j] + apart[k]
 
 
 @compiled
@@ -103,10 +115,10 @@ def _clipped(
     saturated: np.ndarray,
 ) -> bool:
     """Make the weights of clipped pixels negative, and mark the points of a block that see any, and those that see them near; whether there are some."""
-    bright, top = _I(0), read.dtype.type(limit)
-    for j in range(len(read)):
-        bright = _I(bright + (read[j] >= top))
-    if bright == 0:
+    brightest, top = read[0], read.dtype.type(limit)
+    for value in read:
+        brightest = max(brightest, value)
+    if brightest < top:
         return False
     some = False
     for k in range(len(hits)):
@@ -157,14 +169,16 @@ def measure_clear(
     blocks, most = (n + BLOCK - 1) // BLOCK, 2 * int(SIDE_WIDTHS * _MOST_PX + SIDE_PX + 1.0) + 1
     centres, line = np.empty((4, n)), np.empty((n, 3))
     hits, saturated, clipped = np.zeros(n, np.bool_), np.zeros(n, np.bool_), False
-    both, differ, width = np.zeros((8, blocks * BLOCK)), np.empty(n), np.empty(blocks * BLOCK)
+    both, differ, width = np.empty((8, blocks * BLOCK), _F), np.empty(n), np.empty(blocks * BLOCK)
+    both[0] = _ZERO
     width[:n], width[n:] = width_px, width_px[n - 1]
     if not _narrow(width):
         return False, centres, differ, 0.0, clipped, hits, saturated, line
     d, w, pixel = np.empty(most * LINE, _F), np.empty(most * LINE, _F), np.empty(most * LINE, np.uint32)
     q, bare = np.empty(most * LINE, value.dtype), np.empty(most * LINE if subtracted else 0, source.dtype)
     at, form, whole = np.empty(4 * BLOCK), np.empty(strips.FORM, _F), np.empty(strips.WHOLE, _I)
-    s, own, wanted = np.zeros(SIZE, _F), np.zeros(6 * BLOCK, _F), np.ones(blocks, np.bool_)
+    s, own, apart = np.zeros(SIZE, _F), np.zeros(6 * BLOCK, _F), np.empty(BLOCK, _F)
+    wanted = np.ones(blocks, np.bool_)
     differences, ends = np.empty((n + (n_chains + 1) * BLOCK) * most, _F), np.zeros(n_chains + 1, np.int64)
     places, across = uv.reshape(-1), normal.reshape(-1)
     m = chain = 0
@@ -175,12 +189,15 @@ def measure_clear(
                 continue
             begin = block * BLOCK
             count = take_block(places, across, begin, at)
-            far = 0.0
+            far, seen, near = 0.0, 0.0, np.inf
             for k in range(BLOCK):
-                s[WIDTH + k], s[SHIFT + k] = width[begin + k], both[0, begin + k]
-                cosine = max(abs(at[k + 2 * BLOCK]), abs(at[k + 3 * BLOCK]))
-                far = max(far, (SIDE_WIDTHS * width[begin + k] + SIDE_PX) * cosine)
-            steps = int(far + 1.0)
+                w_px = width[begin + k]
+                s[WIDTH + k], s[SHIFT + k] = w_px, both[0, begin + k]
+                one, other = abs(at[k + 2 * BLOCK]), abs(at[k + 3 * BLOCK])
+                cosine, sine = max(one, other), min(one, other)
+                far, seen = max(far, (SIDE_WIDTHS * w_px + SIDE_PX) * cosine), max(seen, _SEEN * w_px * cosine)
+                near = min(near, (BEYOND * w_px - 1.5 * sine) * cosine - 0.5)
+            steps, inner, core = int(far + 1.0), int(seen + 1.0), int(max(near, 0.0))
             end = (2 * steps + 1) * LINE
             inside = frame_block(at, steps, size, form, whole)
             for a in range(0, end, LINE):
@@ -196,7 +213,7 @@ def measure_clear(
                 hit = _clipped(bare[:end], limit, d, w, core_px, hits[i:j], saturated[i:j])
             else:
                 hit = _clipped(q[:end], limit, d, w, core_px, hits[i:j], saturated[i:j])
-            straight_ground(s, d, w, q, steps)
+            straight_ground(s, d, w, q, steps, core)
             if hit:
                 clipped = True
                 for k in range(end):
@@ -210,28 +227,18 @@ def measure_clear(
                 while chain < n_chains and starts[chain] < j:
                     last = min(starts[chain + 1] - begin, BLOCK)
                     every = min(max((starts[chain + 1] - starts[chain]) // _POINTS_A_LINE, 1), _MOST_APART)
+                    _pairs(whole, first, last, apart)
                     for row in range(block % every, 2 * steps + 1, every):
                         if abs(row - steps) > 2:
                             a, b = row * LINE, (row + 1) * LINE
-                            _differences(
-                                form,
-                                whole,
-                                s,
-                                row,
-                                d[a:b],
-                                w[a:b],
-                                q[a:b],
-                                first,
-                                last,
-                                own,
-                                differences[m : m + BLOCK],
-                            )
+                            _differences(form, s, row, d[a:b], w[a:b], q[a:b], apart, own, differences[m : m + BLOCK])
                             m += BLOCK
                     if starts[chain + 1] > begin + BLOCK:
                         break
                     chain, first = chain + 1, last
                     ends[chain] = m
-            centres_of_two(s, d, w, q, 2 * steps + 1, _F(SHORT_PX))
+            a, b = (steps - inner) * LINE, (steps + inner + 1) * LINE
+            centres_of_two(s, d[a:b], w[a:b], q[a:b], 2 * inner + 1, _F(SHORT_PX))
             for r in range(4):
                 for k in range(BLOCK):
                     both[r, begin + k] = s[NARROW + r * BLOCK + k]

@@ -14,7 +14,8 @@ _F = np.float32
 _ZERO, _UNIT, _TWO, _HALF = _F(0.0), _F(1.0), _F(2.0), _F(0.5)
 _HUGE, _THIN, _NARROW, _NONE = _F(1e30), _F(1e-3), _F(0.1), _F(np.nan)
 _FLAT, _QUARTER, _LONGEST, _MOST_STEPS = _F(1.0 / 32.0), _F(0.25), _F(1.5), 8
-_LEAST_RATE, _LEAST_SIDE, _TINY, _BEYOND = _F(0.5), _F(1.5), _F(1e-9), _F(3.0)
+_LEAST_RATE, _LEAST_SIDE, _TINY = _F(0.5), _F(1.5), _F(1e-9)
+BEYOND = _F(3.0)  # widths: the sides begin
 WIDTH, SHIFT, LEVEL, SLOPE, VARIANCE, DIFFER, _BY_NARROW, _BY_WIDE = (k * BLOCK for k in range(8))
 _SUMS = 8 * BLOCK
 _BEFORE, _BEHIND = 8 * BLOCK, 13 * BLOCK
@@ -42,7 +43,7 @@ def _bell(t: float) -> float:
 def _add_side(s: np.ndarray, to: int, d: np.ndarray, w: np.ndarray, q: np.ndarray) -> None:
     """One line of a block: sums for the straight line through the sides, of what lies beyond three widths."""
     for k in range(BLOCK):
-        limit = _BEYOND * s[WIDTH + k]
+        limit = BEYOND * s[WIDTH + k]
         n = x1 = q1 = x2 = xq = _ZERO
         for lane in range(3):
             j = k + lane * BLOCK
@@ -59,17 +60,17 @@ def _add_side(s: np.ndarray, to: int, d: np.ndarray, w: np.ndarray, q: np.ndarra
 
 @compiled
 @no_type_check
-def straight_ground(s: np.ndarray, d: np.ndarray, w: np.ndarray, q: np.ndarray, steps: int) -> None:
+def straight_ground(s: np.ndarray, d: np.ndarray, w: np.ndarray, q: np.ndarray, steps: int, near: int) -> None:
     """A straight line through what lies beyond three widths on both sides of each strip, where weights are positive.
 
-    The strips have ``steps`` lines on either side of the middle one, which is too near. ``s`` takes its level and slope, the variance of the slope for a pixel variance of 1, and by how much the sides differ.
+    The strips have ``steps`` lines on either side of the middle one; the first ``near`` of them, and that one, are too near. ``s`` takes its level and slope, the variance of the slope for a pixel variance of 1, and by how much the sides differ.
     """
     s[_SUMS:] = _ZERO
     size = 3 * BLOCK
-    for line in range(steps):
+    for line in range(steps - near):
         a, b = line * size, (line + 1) * size
         _add_side(s, _BEFORE, d[a:b], w[a:b], q[a:b])
-    for line in range(steps + 1, 2 * steps + 1):
+    for line in range(steps + near + 1, 2 * steps + 1):
         a, b = line * size, (line + 1) * size
         _add_side(s, _BEHIND, d[a:b], w[a:b], q[a:b])
     for k in range(BLOCK):
