@@ -19,7 +19,7 @@ from rotaline.vision.stripe.direction_kernels import local_lines
 from rotaline.vision.stripe.judge_kernels import sound_ends
 from rotaline.vision.stripe.strip_kernels import BLOCK
 
-_WINDOW = 6  # points on either side that settle the direction
+_WINDOW, _SMOOTHING = 6, 3  # points on either side that settle the direction, the place
 _ROUGH_PX, _FINE_PX = 0.3, 0.05  # misfit of a line that is not worth a one-sided window
 _SHORT_PX = 0.02  # a step is the last when it is shorter
 _JOIN_PX = 9.0
@@ -275,7 +275,7 @@ def follow(
         moved[i, 0], moved[i, 1] = uv[i, 0] + s * along[i, 0], uv[i, 1] + s * along[i, 1]
         tangent[i, 0], tangent[i, 1] = normal[i, 1], -normal[i, 0]
     alike(measured, starts, 0.25, good)
-    return _curves(moved, tangent, measured, good, starts, least, True, join)
+    return _curves(moved, moved, tangent, measured, good, starts, least, True, join)
 
 
 @compiled
@@ -300,16 +300,18 @@ def follow_tops(
     n = len(uv)
     starts = starts_of(chain)
     smooth, tangent = np.empty_like(uv), np.empty_like(uv)
-    local_lines(uv, starts, _WINDOW, _ROUGH_PX, smooth, tangent)
-    measured, good = np.empty(n), np.ones(n, np.bool_)
+    local_lines(uv, starts, _SMOOTHING, _FINE_PX, smooth, tangent)
+    measured = np.empty(n)
     for c in range(len(starts) - 1):
-        k = 1 if _steep(uv, starts[c], starts[c + 1]) else 0
-        for i in range(starts[c], starts[c + 1]):
-            variance = spread_px2[i] * tangent[i, k] * tangent[i, k] - 1.0
-            measured[i] = np.sqrt(
-                min(max(variance, _LEAST_WIDTH_PX * _LEAST_WIDTH_PX), _MOST_WIDTH_PX * _MOST_WIDTH_PX)
-            )
-    points, edges, width, normal = _curves(uv, tangent, measured, good, starts, least, False, True)
+        start, stop = starts[c], starts[c + 1]
+        k = 1 if _steep(uv, start, stop) else 0
+        own, ahead, spread = measured[start:stop], tangent.reshape(-1)[2 * start + k : 2 * stop], spread_px2[start:stop]
+        for i in range(stop - start):
+            variance = spread[i] * ahead[2 * i] * ahead[2 * i] - 1.0
+            own[i] = np.sqrt(min(max(variance, _LEAST_WIDTH_PX * _LEAST_WIDTH_PX), _MOST_WIDTH_PX * _MOST_WIDTH_PX))
+    points, edges, width, normal = _curves(
+        uv, smooth, tangent, measured, np.ones(n, np.bool_), starts, least, False, True
+    )
     known = True
     for w in width:
         known &= least_px <= w <= most_px
@@ -320,6 +322,7 @@ def follow_tops(
 @no_type_check
 def _curves(
     moved: np.ndarray,
+    smooth: np.ndarray,
     tangent: np.ndarray,
     measured: np.ndarray,
     good: np.ndarray,
@@ -330,15 +333,18 @@ def _curves(
 ) -> tuple:
     """The end of :func:`follow`, from the points where they have moved to; those that are good are to stay.
 
-    Where ends are to go ``straight`` on at jumps, ``moved`` changes.
+    Where ends are to go ``straight`` on at jumps, ``moved`` changes. Otherwise, ``smooth`` are these points smoothed along the chains, for where
+    these stay as they are.
     """
     index, edges = break_chains(moved, tangent, good, starts, least)
     if straight:
         _straighten(moved, index, edges, measured)
-    moved, kept = moved[index], measured[index]
-    width, smooth, ahead = np.empty(len(kept)), np.empty_like(moved), np.empty_like(moved)
-    window_mean(kept, edges, 10, width)
-    local_lines(moved, edges, 3, _FINE_PX, smooth, ahead)
+    if straight or len(index) < len(moved) or len(edges) != len(starts):
+        moved, measured = moved[index], measured[index]
+        smooth = np.empty_like(moved)
+        local_lines(moved, edges, _SMOOTHING, _FINE_PX, smooth, np.empty_like(moved))
+    width = np.empty(len(measured))
+    window_mean(measured, edges, 10, width)
     dense, edges, wide = resample(smooth, edges, width)
     if join and len(edges) > 2:
         order, joined = join_chains(dense, _end_tangents(dense, edges), edges, _JOIN_PX)
