@@ -18,6 +18,7 @@ from rotaline.vision.stripe.block_kernels import (
     read_pixels,
     take_block,
 )
+from rotaline.vision.stripe.judge_kernels import sound_points
 from rotaline.vision.stripe.measure_kernels import (
     LAG,
     NOISE_FROM,
@@ -28,6 +29,7 @@ from rotaline.vision.stripe.measure_kernels import (
     adapt_widths,
     stepped,
 )
+from rotaline.vision.stripe.trace_kernels import follow_tops, long_chains
 from rotaline.vision.stripe.uncertainty_kernels import pixel_noise, scatter_and_floor
 from rotaline.vision.stripe.window_kernels import (
     BEYOND,
@@ -143,6 +145,7 @@ def measure_clear(
     normal: np.ndarray,
     width_px: np.ndarray,
     least_noise: float,
+    clipped_too: bool,
 ) -> tuple:
     """Centres under a window of one width, or of two where these scatter as little, of a clear stripe that is not wide and has no steps under it.
 
@@ -154,6 +157,7 @@ def measure_clear(
     value, source, subtracted, limit, size, uv, starts, normal, width_px
         See :func:`rotaline.vision.stripe.measure_kernels.read_stripe`.
     least_noise : float   of a pixel
+    clipped_too : bool   a stripe with clipped pixels is such
 
     Returns
     -------
@@ -171,8 +175,9 @@ def measure_clear(
     hits, saturated, clipped = np.zeros(n, np.bool_), np.zeros(n, np.bool_), False
     both, differ, width = np.empty((8, blocks * BLOCK), _F), np.empty(n), np.empty(blocks * BLOCK)
     both[0] = _ZERO
-    width[:n], width[n:] = width_px, width_px[n - 1]
-    if not _narrow(width):
+    for i in range(len(width)):
+        width[i] = width_px[min(i, n - 1)]
+    if n == 0 or not _narrow(width):
         return False, centres, differ, 0.0, clipped, hits, saturated, line
     d, w, pixel = np.empty(most * LINE, _F), np.empty(most * LINE, _F), np.empty(most * LINE, np.uint32)
     q, bare = np.empty(most * LINE, value.dtype), np.empty(most * LINE if subtracted else 0, source.dtype)
@@ -215,6 +220,8 @@ def measure_clear(
                 hit = _clipped(q[:end], limit, d, w, core_px, hits[i:j], saturated[i:j])
             straight_ground(s, d, w, q, steps, core)
             if hit:
+                if not clipped_too:
+                    return False, centres, differ, 0.0, True, hits, saturated, line
                 clipped = True
                 for k in range(end):
                     w[k] = abs(w[k])
@@ -261,6 +268,55 @@ def measure_clear(
         for i in range(n):
             centres[r, i] = both[best + r, i]
     return True, centres, noise, floor, clipped, hits, saturated, line
+
+
+@compiled
+@no_type_check
+def clear_points(
+    value: np.ndarray,
+    source: np.ndarray,
+    subtracted: bool,
+    limit: float,
+    size: tuple,
+    least_noise: float,
+    uv: np.ndarray,
+    chain: np.ndarray,
+    spread_px2: np.ndarray,
+    least_px: float,
+    most_px: float,
+    least_height: float,
+    shortest: int,
+    least: int,
+    min_length: float,
+) -> tuple:
+    """Trace a clear stripe that is not wide by the tops that were found, measure it, and judge the points.
+
+    Parameters
+    ----------
+    value, source, subtracted, limit, size, least_noise : of :func:`measure_clear`
+    uv, chain, spread_px2, least_px, most_px, shortest : of :func:`rotaline.vision.stripe.trace_kernels.follow_tops`
+    least_height, least, min_length : of :func:`rotaline.vision.stripe.judge_kernels.sound_points`
+
+    Returns
+    -------
+    known : bool   the stripe is such, and no pixel is clipped; else the rest says nothing
+    points   as :func:`rotaline.vision.stripe.judge_kernels.sound_points` returns them
+    """
+    uv, starts, width, normal, known = follow_tops(uv, chain, spread_px2, least_px, most_px, shortest)
+    uv, starts, width, normal = long_chains(uv, starts, width, normal, least)
+    if not known:
+        uv, starts = uv[:0], starts[:1]
+    known, centres, noise, floor, _, _, saturated, _ = measure_clear(
+        value, source, subtracted, limit, size, uv, starts, normal, width[: len(uv)], least_noise, False
+    )
+    if not known:
+        uv, starts = uv[:0], starts[:1]
+    shift, u, wide, height = centres
+    points = sound_points(
+        uv, starts, normal, normal, width, noise, shift, u, wide, height, np.zeros(len(uv)), saturated, floor, least_height, size, least,
+        min_length,
+    )  # fmt: skip
+    return known, points
 
 
 @compiled

@@ -13,7 +13,7 @@ from rotaline.vision.stripe.find import find
 from rotaline.vision.stripe.found import FoundStripe
 from rotaline.vision.stripe.gravity import clear_points_of, measure_on_lines
 from rotaline.vision.stripe.judge_kernels import sound_points
-from rotaline.vision.stripe.measure import Measured, measure
+from rotaline.vision.stripe.measure import Measured, measure, measure_clear_stripe
 from rotaline.vision.stripe.model import StripePoints
 from rotaline.vision.stripe.options import StripeOptions as StripeOptions
 from rotaline.vision.stripe.pieces import brightest, counting, of_one_width
@@ -49,7 +49,11 @@ def measure_found(found: FoundStripe, plane: Plane, options: StripeOptions) -> S
     """Centre points of a stripe that was found: what is left to do for :func:`extract_stripe`."""
     least = max(SHORTEST, int(options.min_length_px)) if found.crowded else SHORTEST
     on_lines = options.method == "gray-gravity"
-    judged = clear_points_of(found, plane, least, options) if on_lines else None
+    judged = None
+    if on_lines:
+        judged = clear_points_of(found, plane, least, options)
+    elif options.method == "improved-gray-gravity":
+        judged = measure_clear_stripe(found, plane, least, options)
     if judged is None:
         measured = measure_on_lines(found, plane) if on_lines else None
         if measured is None:

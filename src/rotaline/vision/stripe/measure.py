@@ -7,9 +7,10 @@ from jaxtyping import Bool, Float, Int
 
 from rotaline.vision.stripe.background import Steps, fit_steps
 from rotaline.vision.stripe.centres import Centres
-from rotaline.vision.stripe.clear_kernels import measure_clear
+from rotaline.vision.stripe.clear_kernels import clear_points, measure_clear
 from rotaline.vision.stripe.curve import Chains
 from rotaline.vision.stripe.fit_kernels import fit_gaussians
+from rotaline.vision.stripe.found import FoundStripe
 from rotaline.vision.stripe.measure_kernels import (
     SIDE_PX,
     SIDE_WIDTHS,
@@ -24,7 +25,7 @@ from rotaline.vision.stripe.profiles import sample_profiles
 from rotaline.vision.stripe.row_kernels import cross_lines, flat_centroids
 from rotaline.vision.stripe.steger_kernels import ridge_points
 from rotaline.vision.stripe.strips import Strips, strips_of
-from rotaline.vision.stripe.trace import Trace
+from rotaline.vision.stripe.trace import SHORTEST, SIMPLE_PX, Trace
 from rotaline.vision.stripe.uncertainty_kernels import scatter_and_floor
 
 _REACH = 3.5  # widths of the window
@@ -147,12 +148,30 @@ def measure(trace: Trace, plane: Plane, options: StripeOptions) -> Measured:
     return Measured(trace, normal, centres, noise, floor, u_edge, saturated)
 
 
+def measure_clear_stripe(found: FoundStripe, plane: Plane, least: int, options: StripeOptions) -> tuple | None:
+    """The points by the default method of a clear stripe that is not wide, traced, measured and judged; None where it is not such a stripe.
+
+    Returns
+    -------
+    tuple   what :func:`rotaline.vision.stripe.judge_kernels.sound_points` returns
+    """
+    if len(found.uv) == 0 or not found.clear:
+        return None
+    value, source = plane.value, plane.source
+    known, points = clear_points(
+        value.reshape(-1), source.reshape(-1), value is not source, float(plane.limit), plane.size, 0.29 * plane.unit, found.uv,
+        found.chain, found.spread_px2, *SIMPLE_PX, 0.5 * options.min_contrast * plane.unit, max(SHORTEST, least // 2), least,
+        options.min_length_px,
+    )  # fmt: skip
+    return points if known else None
+
+
 def _clear(trace: Trace, plane: Plane) -> Measured | None:
     """Centres by the default method of a stripe that is not wide and has no steps under it; None if it is another."""
     value, source = plane.value, plane.source
     known, (shift, u, wide, height), noise, floor, clipped, hits, saturated, line = measure_clear(
         value.reshape(-1), source.reshape(-1), value is not source, float(plane.limit), plane.size, trace.uv, trace.starts,
-        trace.normal, trace.width_px, 0.29 * plane.unit,
+        trace.normal, trace.width_px, 0.29 * plane.unit, True,
     )  # fmt: skip
     if not known:
         return None
