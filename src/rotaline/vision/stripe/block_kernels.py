@@ -66,21 +66,25 @@ def frame_block(at: np.ndarray, steps: int, size: tuple, form: np.ndarray, whole
 
 @compiled
 @no_type_check
-def place_line(form: np.ndarray, whole: np.ndarray, line: int, d: np.ndarray, w: np.ndarray, pixel: np.ndarray) -> None:
-    """Distances from the points, weights, and numbers of the pixels on one line of a block."""
-    beyond, ahead = _F(line), _I(line)
-    for k in range(BLOCK):
-        x, c, s = form[X + k] + beyond, form[COSINE + k], form[SINE + k]
-        nearest = _I(_I(form[FRACTION + k] + x * form[SLOPE + k] + _ROUND) - _OFFSET)
-        y = _F(nearest) - form[FRACTION + k]
-        along, t = x * c + y * s, y * c - x * s
-        d[k], d[k + BLOCK], d[k + 2 * BLOCK] = along - s, along, along + s
-        w[k] = max(_UNIT - abs(t - c), _ZERO)
-        w[k + BLOCK] = max(_UNIT - abs(t), _ZERO)
-        w[k + 2 * BLOCK] = max(_UNIT - abs(t + c), _ZERO)
-        stride = whole[_PLACE_STRIDE + k]
-        middle = _I(_I(whole[_ORIGIN + k] + ahead * whole[_LINE_STRIDE + k]) + _I(nearest * stride))
-        pixel[k], pixel[k + BLOCK], pixel[k + 2 * BLOCK] = _I(middle - stride), middle, _I(middle + stride)
+def place_lines(
+    form: np.ndarray, whole: np.ndarray, lines: int, d: np.ndarray, w: np.ndarray, pixel: np.ndarray
+) -> None:
+    """Distances from the points, weights, and numbers of the pixels on the lines of a block."""
+    for line in range(np.uint64(lines)):
+        beyond, ahead, at = _F(line), _I(line), line * np.uint64(LINE)
+        for k in range(BLOCK):
+            lower, middle, upper = at + np.uint64(k), at + np.uint64(k + BLOCK), at + np.uint64(k + 2 * BLOCK)
+            x, c, s = form[X + k] + beyond, form[COSINE + k], form[SINE + k]
+            nearest = _I(_I(form[FRACTION + k] + x * form[SLOPE + k] + _ROUND) - _OFFSET)
+            y = _F(nearest) - form[FRACTION + k]
+            along, t = x * c + y * s, y * c - x * s
+            d[lower], d[middle], d[upper] = along - s, along, along + s
+            w[lower] = max(_UNIT - abs(t - c), _ZERO)
+            w[middle] = max(_UNIT - abs(t), _ZERO)
+            w[upper] = max(_UNIT - abs(t + c), _ZERO)
+            stride = whole[_PLACE_STRIDE + k]
+            own = _I(_I(whole[_ORIGIN + k] + ahead * whole[_LINE_STRIDE + k]) + _I(nearest * stride))
+            pixel[lower], pixel[middle], pixel[upper] = _I(own - stride), own, _I(own + stride)
 
 
 @compiled

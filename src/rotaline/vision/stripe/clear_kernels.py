@@ -14,7 +14,7 @@ from rotaline.vision.stripe.block_kernels import (
     LINE,
     frame_block,
     leave_out,
-    place_line,
+    place_lines,
     read_pixels,
     take_block,
 )
@@ -205,11 +205,9 @@ def measure_clear(
             steps, inner, core = int(far + 1.0), int(seen + 1.0), int(max(near, 0.0))
             end = (2 * steps + 1) * LINE
             inside = frame_block(at, steps, size, form, whole)
-            for a in range(0, end, LINE):
-                b = a + LINE
-                place_line(form, whole, a // LINE, d[a:b], w[a:b], pixel[a:b])
-                if not inside:
-                    leave_out(form, whole, a // LINE, size, w[a:b], pixel[a:b])
+            place_lines(form, whole, 2 * steps + 1, d, w, pixel)
+            for a in range(0, 0 if inside else end, LINE):
+                leave_out(form, whole, a // LINE, size, w[a : a + LINE], pixel[a : a + LINE])
             read_pixels(value, pixel[:end], q)
             i, j = begin, begin + count
             core_px = _CORE * width_px[i:j]
@@ -244,8 +242,7 @@ def measure_clear(
                         break
                     chain, first = chain + 1, last
                     ends[chain] = m
-            a, b = (steps - inner) * LINE, (steps + inner + 1) * LINE
-            centres_of_two(s, d[a:b], w[a:b], q[a:b], 2 * inner + 1, _F(SHORT_PX))
+            centres_of_two(s, d, w, q, steps - inner, steps + inner + 1, _F(SHORT_PX))
             for r in range(4):
                 for k in range(BLOCK):
                     both[r, begin + k] = s[NARROW + r * BLOCK + k]

@@ -8,7 +8,7 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.block_kernels import BLOCK
+from rotaline.vision.stripe.block_kernels import BLOCK, LINE
 
 _F = np.float32
 _ZERO, _UNIT, _TWO, _HALF = _F(0.0), _F(1.0), _F(2.0), _F(0.5)
@@ -40,13 +40,13 @@ def _bell(t: float) -> float:
 
 @compiled
 @no_type_check
-def _add_side(s: np.ndarray, to: int, d: np.ndarray, w: np.ndarray, q: np.ndarray) -> None:
-    """One line of a block: sums for the straight line through the sides, of what lies beyond three widths."""
+def _add_side(s: np.ndarray, to: int, d: np.ndarray, w: np.ndarray, q: np.ndarray, at: int) -> None:
+    """One line of a block, from place ``at`` on: sums for the straight line through the sides, of what lies beyond three widths."""
     for k in range(BLOCK):
         limit = BEYOND * s[WIDTH + k]
         n = x1 = q1 = x2 = xq = _ZERO
         for lane in range(3):
-            j = k + lane * BLOCK
+            j = at + np.uint64(k + lane * BLOCK)
             x, p = d[j], _F(q[j])
             use = (abs(x) > limit) & (w[j] > _ZERO)
             one, ux, p = _UNIT if use else _ZERO, x if use else _ZERO, p if use else _ZERO
@@ -66,13 +66,10 @@ def straight_ground(s: np.ndarray, d: np.ndarray, w: np.ndarray, q: np.ndarray, 
     The strips have ``steps`` lines on either side of the middle one; the first ``near`` of them, and that one, are too near. ``s`` takes its level and slope, the variance of the slope for a pixel variance of 1, and by how much the sides differ.
     """
     s[_SUMS:] = _ZERO
-    size = 3 * BLOCK
-    for line in range(steps - near):
-        a, b = line * size, (line + 1) * size
-        _add_side(s, _BEFORE, d[a:b], w[a:b], q[a:b])
-    for line in range(steps + near + 1, 2 * steps + 1):
-        a, b = line * size, (line + 1) * size
-        _add_side(s, _BEHIND, d[a:b], w[a:b], q[a:b])
+    for line in range(np.uint64(steps - near)):
+        _add_side(s, _BEFORE, d, w, q, line * np.uint64(LINE))
+    for line in range(np.uint64(steps + near + 1), np.uint64(2 * steps + 1)):
+        _add_side(s, _BEHIND, d, w, q, line * np.uint64(LINE))
     for k in range(BLOCK):
         before, behind, one, other = s[_BEFORE + k], s[_BEHIND + k], s[_BEFORE + _Q + k], s[_BEHIND + _Q + k]
         x1, xq = s[_BEFORE + _X + k] + s[_BEHIND + _X + k], s[_BEFORE + _XQ + k] + s[_BEHIND + _XQ + k]
@@ -88,8 +85,8 @@ def straight_ground(s: np.ndarray, d: np.ndarray, w: np.ndarray, q: np.ndarray, 
 
 @compiled
 @no_type_check
-def _add_both(s: np.ndarray, d: np.ndarray, w: np.ndarray, q: np.ndarray) -> None:
-    """One line of a block: the sums under both windows."""
+def _add_both(s: np.ndarray, d: np.ndarray, w: np.ndarray, q: np.ndarray, at: int) -> None:
+    """One line of a block, from place ``at`` on: the sums under both windows."""
     for k in range(BLOCK):
         shift, slope = s[SHIFT + k], s[SLOPE + k]
         level = s[LEVEL + k] + shift * slope
@@ -97,7 +94,7 @@ def _add_both(s: np.ndarray, d: np.ndarray, w: np.ndarray, q: np.ndarray) -> Non
         g0 = g1 = g2 = p0 = p1 = p2 = w2 = k2 = _ZERO
         h0 = h1 = h2 = q0 = q1 = q2 = v2 = l2 = _ZERO
         for lane in range(3):
-            j = k + lane * BLOCK
+            j = at + np.uint64(k + lane * BLOCK)
             x = d[j] - shift
             p = _F(q[j]) - level - slope * x
             square = x * x
@@ -167,8 +164,12 @@ def _finish(s: np.ndarray, more: int, window: float, short: float) -> int:
 
 @compiled
 @no_type_check
-def centres_of_two(s: np.ndarray, d: np.ndarray, w: np.ndarray, q: np.ndarray, lines: int, short: float) -> None:
+def centres_of_two(
+    s: np.ndarray, d: np.ndarray, w: np.ndarray, q: np.ndarray, first: int, stop: int, short: float
+) -> None:
     """Centres, uncertainties for a noise of 1, widths and heights of a block under both windows, until no step is longer than ``short``.
+
+    From the lines ``first`` to ``stop``.
 
     They stand behind each other from ``NARROW`` and ``WIDE`` on. The steps begin at the shift in ``s``.
     """
@@ -177,9 +178,8 @@ def centres_of_two(s: np.ndarray, d: np.ndarray, w: np.ndarray, q: np.ndarray, l
         s[_BY_NARROW + k], s[_BY_WIDE + k] = _FLAT / max(square, _UNIT), _QUARTER * _FLAT / square
     for _ in range(_MOST_STEPS):
         s[_SUMS:] = _ZERO
-        for a in range(0, lines * 3 * BLOCK, 3 * BLOCK):
-            b = a + 3 * BLOCK
-            _add_both(s, d[a:b], w[a:b], q[a:b])
+        for line in range(np.uint64(first), np.uint64(stop)):
+            _add_both(s, d, w, q, line * np.uint64(LINE))
         far = _finish(s, 0, _UNIT, short)
         far += _finish(s, _SECOND, _TWO, short)
         if far == 0:
