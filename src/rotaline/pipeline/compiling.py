@@ -16,7 +16,7 @@ from rotaline.geometry.compiled import machine_code_stored
 from rotaline.pipeline.observer import LOG
 from rotaline.vision.images import Image
 from rotaline.vision.stripe.channels import channels_of, plane_of
-from rotaline.vision.stripe.extract import StripeOptions, measure_found
+from rotaline.vision.stripe.extract import StripeOptions, measure_stripe
 from rotaline.vision.stripe.find import find
 from rotaline.vision.stripe.found import FoundStripe
 from rotaline.vision.stripe.plane import Plane
@@ -77,7 +77,7 @@ def exercise(task: str, dtype: str, ndim: int, has_background: bool, options: St
         plane = Plane(image, image) if plain else plane_of(channels_of(image, background), 0)
         spread_px2 = np.full(len(line), width_px**2 + scale_px**2)
         found = FoundStripe(uv, chain, spread_px2, np.array([scale_px]), False, clear)
-        n += len(measure_found(found, plane, options).uv)
+        n += len(measure_stripe(found, plane, options).uv)
     return n
 
 

@@ -255,12 +255,13 @@ def measure_clear(
                 return False, centres, noise, 0.0, clipped, hits, saturated, line
             if not more:
                 break
-    scatter, floor = scatter_and_floor(uv, starts, normal, both[0], both[1], noise)
-    best = 0
-    if floor >= 0.5 * scatter:  # where the noise of the pixels explains the scatter, the narrow window is the best
-        other, other_floor = scatter_and_floor(uv, starts, normal, both[4], both[5], noise)
-        if other < WIDER * scatter:
-            best, floor = 4, other_floor
+    best, scatter, floor = 0, np.inf, 0.0
+    for window in (0, 4):
+        scatter_now, floor_now = scatter_and_floor(uv, starts, normal, both[window], both[window + 1], noise)
+        if window == 0 or scatter_now < WIDER * scatter:
+            best, scatter, floor = window, scatter_now, floor_now
+        if floor_now < 0.5 * scatter_now:
+            break  # where the noise of the pixels explains the scatter, the narrow window is the best
     for r in range(4):
         for i in range(n):
             centres[r, i] = both[best + r, i]

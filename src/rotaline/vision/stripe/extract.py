@@ -42,10 +42,10 @@ def extract_stripe(image: Image, background: Image | None = None, options: Strip
     ValueError
         If the two images differ in shape or type.
     """
-    return measure_found(*find(image, background, options), options)
+    return measure_stripe(*find(image, background, options), options)
 
 
-def measure_found(found: FoundStripe, plane: Plane, options: StripeOptions) -> StripePoints:
+def measure_stripe(found: FoundStripe, plane: Plane, options: StripeOptions) -> StripePoints:
     """Centre points of a stripe that was found: what is left to do for :func:`extract_stripe`."""
     least = max(SHORTEST, int(options.min_length_px)) if found.crowded else SHORTEST
     on_lines = options.method == "gray-gravity"

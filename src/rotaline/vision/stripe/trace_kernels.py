@@ -345,11 +345,15 @@ def _curves(
         local_lines(moved, edges, _SMOOTHING, _FINE_PX, smooth, np.empty_like(moved))
     width = np.empty(len(measured))
     window_mean(measured, edges, 10, width)
-    dense, edges, wide = resample(smooth, edges, width)
-    if join and len(edges) > 2:
+    while True:
+        dense, edges, wide = resample(smooth, edges, width)
+        if not join or len(edges) <= 2:
+            break
+        join = False
         order, joined = join_chains(dense, _end_tangents(dense, edges), edges, _JOIN_PX)
-        if len(joined) < len(edges):
-            dense, edges, wide = resample(dense[order], joined, wide[order])
+        if len(joined) == len(edges):
+            break
+        smooth, edges, width = dense[order], joined, wide[order]
     return dense, edges, wide, normals(dense, edges, _FINE_PX)
 
 
