@@ -68,6 +68,16 @@ def copy_values(values: np.ndarray, out: np.ndarray) -> None:
 
 @compiled
 @no_type_check
+def greatest(values: np.ndarray) -> float:
+    """The greatest of values in double precision, none negative; 0 of none. Such numbers are in order as their bits are."""
+    bits, most = values.view(np.int64), np.int64(0)
+    for i in range(len(bits)):
+        most = max(most, bits[i])
+    return np.int64(most).view(np.float64)
+
+
+@compiled
+@no_type_check
 def starts_of(chain: np.ndarray) -> np.ndarray:
     """Where each chain starts, and where the last one stops."""
     n = len(chain)
@@ -172,31 +182,36 @@ def window_median(values: np.ndarray, start: int, stop: int, i: int, half_window
 def _may_deviate(width: np.ndarray, tolerance: float) -> np.ndarray:
     """The first points of those blocks of a chain in which a width may be beyond the tolerance of the median of those around it.
 
-    In the others, more than half of the widths around are not below what the greatest may deviate from, and more than half not above what the least may.
+    In the others, the widths around are within the tolerance of each other, or more than half of them are not below what the greatest may deviate
+    from, and more than half not above what the least may.
     """
     n = len(width)
-    extended = np.empty(n + 2 * _AROUND + _BLOCK)  # the ends are repeated
-    extended[:_AROUND] = width[0]
-    extended[_AROUND : _AROUND + n] = width
-    extended[_AROUND + n :] = width[n - 1]
-    blocks = np.empty((n + _BLOCK - 1) // _BLOCK, np.int64)
-    m = 0
-    for b in range(len(blocks)):
-        begin, end = b * _BLOCK, min((b + 1) * _BLOCK, n)
-        block, around = extended[_AROUND + begin :], extended[(begin + end - 1) // 2 :]
-        least, most, usable = np.inf, 0.0, 0
+    number, m = (n + _BLOCK - 1) // _BLOCK, 0
+    blocks, least, most = np.empty(number, np.int64), np.empty(number + 3), np.empty(number + 3)
+    for b in range(number if n > _AROUND else 0):
+        own, low, high, usable = width[min(b * _BLOCK, n - _BLOCK) :], np.inf, 0.0, 0
         for j in range(_BLOCK):
-            w = block[j]
+            w = own[j]
             usable += w > 0.0
-            least, most = w if w < least else least, w if w > most else most
-        high, low = most / (1.0 + tolerance), least / (1.0 - tolerance)
-        above = below = 0
-        for j in range(2 * _AROUND + 1):
-            w = around[j]
+            low, high = w if w < low else low, w if w > high else high
+        least[b + 1], most[b + 1] = low if usable == _BLOCK else 0.0, high
+    least[0], most[0] = least[1], most[1]  # the ends are repeated
+    least[number + 1 :], most[number + 1 :] = least[number], most[number]
+    for b in range(number):
+        lowest, highest = least[b], most[b]
+        for j in range(1, 4):
+            lowest, highest = min(lowest, least[b + j]), max(highest, most[b + j])
+        high, low = most[b + 1] / (1.0 + tolerance), least[b + 1] / (1.0 - tolerance)
+        if n > _AROUND and high <= lowest and low >= highest:
+            continue
+        begin, above, below = b * _BLOCK, 0, 0
+        middle = (begin + min(begin + _BLOCK, n) - 1) // 2
+        for j in range(middle - _AROUND, middle + _AROUND + 1):
+            w = width[min(max(j, 0), n - 1)]
             above += w >= high
             below += w <= low
         blocks[m] = begin
-        m += usable < _BLOCK or min(above, below) <= _AROUND or n <= _AROUND
+        m += least[b + 1] == 0.0 or min(above, below) <= _AROUND or n <= _AROUND
     return blocks[:m]
 
 
@@ -255,22 +270,25 @@ def _plain_runs(uv: np.ndarray, tangent: np.ndarray, good: np.ndarray, starts: n
     for i in range(n - 1):
         du, dv = next_place[2 * i] - place[2 * i], next_place[2 * i + 1] - place[2 * i + 1]
         along, across = du * ahead[2 * i] + dv * ahead[2 * i + 1], abs(du * ahead[2 * i + 1] - dv * ahead[2 * i])
-        next_plain[i] = next_good[i] & (along >= _FORWARD) & (across <= _ACROSS) & (du * du + dv * dv <= _GAP * _GAP)
-    first, stop, chain = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
-    r = 0
+        next_plain[i] = (along >= _FORWARD) & (across <= _ACROSS) & (du * du + dv * dv <= _GAP * _GAP)
+    for i in range(n - 1):
+        next_plain[i] &= good[i] & next_good[i]
     for k in range(n_chains):
-        inside = False
-        for i in range(starts[k], starts[k + 1]):
-            if inside and plain[i]:
-                continue
-            if inside:
-                stop[r - 1] = i
-            inside = good[i]
-            if inside:
-                first[r], chain[r] = i, k
-                r += 1
-        if inside:
-            stop[r - 1] = starts[k + 1]
+        if starts[k] < n:
+            plain[starts[k]] = False
+    first, stop, chain = np.empty(n + 1, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    m = r = k = 0
+    for i in range(n):
+        first[m] = i
+        m += not plain[i]
+    first[m] = n
+    for j in range(m):
+        i, following = first[j], first[j + 1]
+        if good[i]:
+            while starts[k + 1] <= i:
+                k += 1
+            first[r], stop[r], chain[r] = i, following, k
+            r += 1
     return first[:r], stop[:r], chain[:r]
 
 

@@ -5,7 +5,7 @@ from typing import no_type_check
 import numpy as np
 
 from rotaline.geometry.compiled import compiled
-from rotaline.vision.stripe.chain_kernels import alike, break_chains, copy_values, median_of
+from rotaline.vision.stripe.chain_kernels import alike, break_chains, copy_values, greatest, median_of
 from rotaline.vision.stripe.piece_kernels import LEAST_PART, SLENDER
 
 _REFERENCE, _MOST = 12, 6  # points that say how a piece goes on; points taken from an end
@@ -125,10 +125,12 @@ def sound_points(
     n = len(uv)
     wide, u, good = np.empty(n), np.empty(n), np.empty(n, np.bool_)
     place, direction, across = uv.reshape(-1), along.reshape(-1), normal.reshape(-1)
+    for i in range(n):  # loops over few arrays, which become vector instructions
+        wide[i] = abs(direction[2 * i] * across[2 * i] + direction[2 * i + 1] * across[2 * i + 1])
     for i in range(n):
-        cosine = abs(direction[2 * i] * across[2 * i] + direction[2 * i + 1] * across[2 * i + 1])
-        u[i] = np.sqrt((u_px[i] * noise[i]) ** 2 + floor * floor + u_edge[i] ** 2) * cosine
-        wide[i] = width[i] * cosine
+        u[i] = np.sqrt((u_px[i] * noise[i]) ** 2 + floor * floor + u_edge[i] ** 2) * wide[i]
+        wide[i] *= width[i]
+    for i in range(n):
         good[i] = (abs(shift[i]) <= width[i] + 1.0) & (u[i] < 1.0) & (height[i] > max(2.5 * noise[i], least_height))
     for i in range(n):
         reach_u, reach_v = abs(direction[2 * i]) * 2.0 * traced_px[i], abs(direction[2 * i + 1]) * 2.0 * traced_px[i]
@@ -144,6 +146,7 @@ def sound_points(
         s = shift[i] if good[i] else 0.0
         moved[2 * i] = place[2 * i] + s * direction[2 * i]
         moved[2 * i + 1] = place[2 * i + 1] + s * direction[2 * i + 1]
+    for i in range(n):
         tangent[2 * i], tangent[2 * i + 1] = across[2 * i + 1], -across[2 * i]
     index, edges = break_chains(points, ahead, good, starts, least)
     begin, end = sound_ends(points, width, index, edges)
@@ -158,9 +161,9 @@ def sound_points(
             continue
         first, j = m, begin[c]
         while j < end[c]:
-            i, run = index[j], 1
-            while j + run < end[c] and index[j + run] == i + run:
-                run += 1
+            i, run = index[j], end[c] - j
+            while index[j + run - 1] != i + run - 1:
+                run //= 2
             copy_values(moved[2 * i : 2 * (i + run)], out[0, 2 * m :])
             copy_values(across[2 * i : 2 * (i + run)], out[1, 2 * m :])
             copy_values(wide[i : i + run], values[0, m:])
@@ -170,12 +173,9 @@ def sound_points(
             m, j = m + run, j + run
         segment[first:m] = pieces
         widths, heights = values[0, first:m], values[1, first:m]
-        widest = highest = 0.0
+        widest, least_high, core = greatest(widths), LEAST_PART * greatest(heights), 0
         for k in range(count):
-            widest, highest = max(widest, widths[k]), max(highest, heights[k])
-        core = 0
-        for k in range(count):
-            core += heights[k] > LEAST_PART * highest
+            core += heights[k] > least_high
         plain &= count >= min_length and count >= _MOST + _REFERENCE and core >= SLENDER * widest
         pieces += 1
     points_out, normal_out = out[0, : 2 * m].reshape((m, 2)), out[1, : 2 * m].reshape((m, 2))
