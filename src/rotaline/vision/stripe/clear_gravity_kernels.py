@@ -16,11 +16,8 @@ _ZERO, _HALF, _UNIT, _TWO = _F(0.0), _F(0.5), _F(1.0), _F(2.0)
 _NARROW, _SIXTH, _ROOT_2PI, _NONE = _F(0.1), _F(1.0 / 6.0), _F(np.sqrt(2.0 * np.pi)), _F(np.nan)
 _SIDE = _F(3.0)  # widths: the background begins, the window ends
 _REACH, _REACH_PX = 3.5, 6.0  # widths and px to both sides, about
-_LAG, _PAIRS, _GROUPS = (
-    3,
-    16,
-    8,
-)  # points between strips whose pixels are compared; such pairs side by side; groups of them a piece
+_LAG = 3  # points between strips whose pixels are compared
+_PAIRS, _GROUPS = 16, 8  # such pairs side by side; groups of them a piece
 _NOISE_FROM = _F(3.3)  # widths: pixels further out tell the noise
 MOST_PAIRS = _PAIRS * _GROUPS
 _CORE = _F(1.5)  # widths: a clipped pixel as near makes the point saturated
@@ -100,18 +97,14 @@ def _sum_of_squares(last: float) -> float:
 
 @compiled
 @no_type_check
-def _set_windows(s: np.ndarray, centre: np.ndarray, width_px: np.ndarray, first: int, half: int) -> int:
-    """Set the windows of a group of strips, from ``first`` on, and the sums over the pixels in them; an even number of pixels to which they reach."""
-    m, reach = len(width_px), np.int32(0)
+def _set_windows(s: np.ndarray, centre: np.ndarray, width_px: np.ndarray, half: int) -> int:
+    """Set the windows of a group of strips, and the sums over the pixels in them; an even number of pixels to which they reach."""
+    reach = np.int32(0)
     for k in range(LANES):
-        s[_CENTRE + k], s[_LIMIT + k] = centre[first + k], _SIDE * _F(width_px[m - 1])
-    for k in range(min(LANES, m - first)):
-        s[_LIMIT + k] = _SIDE * _F(width_px[first + k])
-    for k in range(LANES):
-        low = max(np.ceil(s[_CENTRE + k] - s[_LIMIT + k]), _F(-half))
-        high = min(np.floor(s[_CENTRE + k] + s[_LIMIT + k]), _F(half - 1))
+        middle, limit = centre[k], _SIDE * _F(width_px[k])
+        low, high = max(np.ceil(middle - limit), _F(-half)), min(np.floor(middle + limit), _F(half - 1))
         count = high - low + _UNIT
-        s[_LOW + k], s[_HIGH + k] = low, high
+        s[_CENTRE + k], s[_LIMIT + k], s[_LOW + k], s[_HIGH + k] = middle, limit, low, high
         s[_N + k], s[_X + k] = count, _HALF * count * (low + high)
         s[_XX + k] = _sum_of_squares(high) - _sum_of_squares(low - _UNIT)
     for k in range(LANES):
@@ -175,6 +168,7 @@ def centroids(
     width_px: np.ndarray,
     clipped: bool,
     out: np.ndarray,
+    start: int,
 ) -> None:
     """Centroid of what stands above the background within three widths of the points of a piece; all grey values count alike.
 
@@ -183,14 +177,16 @@ def centroids(
     Parameters
     ----------
     level, ground : the ground is NaN where a pixel is clipped
+    width_px : (at least lanes,)
     clipped : there are such pixels
-    out : (4, n)   shifts, NaN where nothing stands above the background; uncertainties for a noise of 1; widths; heights
+    out : (4, n)   to write from ``start`` on, as many as lanes: shifts, NaN where nothing stands above the background; uncertainties for a noise
+        of 1; widths; heights
     """
-    s, m = np.empty(_SIZE, _F), len(width_px)
+    s = np.empty(_SIZE, _F)
     all_n, all_x = _F(2 * half), _F(-half)
     all_xx = _sum_of_squares(_F(half)) + _sum_of_squares(_F(half - 1))
     for first in range(0, lanes, LANES):
-        reach = _set_windows(s, centre, width_px, first, half)
+        reach = _set_windows(s, centre[first:], width_px[first:], half)
         s[_CLIPPED:] = _ZERO
         for t in range(0, 2 * half, 4):
             _add_outside(s, ground, np.uint64(first + t * lanes), lanes, _F(t - half))
@@ -215,8 +211,9 @@ def centroids(
             s[_RESULTS + LANES + k] = np.sqrt(max(near, _ZERO)) / mass
             s[_RESULTS + 2 * LANES + k], s[_RESULTS + 3 * LANES + k] = wide, mass / (_ROOT_2PI * wide)
         for j in range(4):
-            for k in range(min(LANES, m - first)):
-                out[j, first + k] = s[_RESULTS + j * LANES + k]
+            own = out[j, start + first :]
+            for k in range(LANES):
+                own[k] = s[_RESULTS + j * LANES + k]
 
 
 @compiled

@@ -114,10 +114,11 @@ def line_normals(uv: np.ndarray, starts: np.ndarray, along: np.ndarray) -> np.nd
         np.empty(n),
         np.empty(n),
     )
+    components, places = normal.reshape(-1), uv.reshape(-1)
     for c in range(len(starts) - 1):
-        k = 0 if along[starts[c], 0] != 0.0 else 1
-        for i in range(starts[c], starts[c + 1]):
-            place[i] = uv[i, k]
+        own, there = place[starts[c] : starts[c + 1]], places[2 * starts[c] + (along[starts[c], 0] == 0.0) :]
+        for i in range(len(own)):
+            own[i] = there[2 * i]
     _slopes(place, side_misfit, side_slope, slope)
     for c in range(len(starts) - 1):
         start, stop = starts[c], starts[c + 1]
@@ -126,14 +127,12 @@ def line_normals(uv: np.ndarray, starts: np.ndarray, along: np.ndarray) -> np.nd
             _slopes_at_end(place, stop - 1, -1, side_misfit, side_slope, slope)
         else:
             slope[start:stop] = _slope_of_all(place[start:stop])
-    for i in range(n):
-        side_slope[i] = 1.0 / np.sqrt(1.0 + slope[i] * slope[i])
-    for c in range(len(starts) - 1):
-        start, stop = starts[c], starts[c + 1]
-        k = 0 if along[start, 0] != 0.0 else 1
-        sense, sign = uv[start + 1, 1 - k] - uv[start, 1 - k], 1.0 if k else -1.0
-        for i in range(start, stop):
-            normal[i, k], normal[i, 1 - k] = sense * sign * side_slope[i], -sign * slope[i] * side_slope[i]
+        steep, own, both = along[start, 0] != 0.0, slope[start:stop], components[2 * start :]
+        sense = uv[start, 1] - uv[start + 1, 1] if steep else uv[start + 1, 0] - uv[start, 0]
+        for i in range(len(own)):
+            across = 1.0 / np.sqrt(1.0 + own[i] * own[i])
+            one, other = sense * across, own[i] * across
+            both[2 * i], both[2 * i + 1] = one if steep else -other, other if steep else one
     return normal
 
 
@@ -293,7 +292,7 @@ def clear_points(
     """
     uv, starts, along, stretch, wide = whole_lines(uv, chain, spread_px2)
     n = len(uv)
-    width, known = np.empty(n), True
+    width, known = np.ones(n + LANES), True
     for i in range(n):
         wide[i] = np.sqrt(max(wide[i], _LEAST_WIDTH_PX * _LEAST_WIDTH_PX))
     window_mean(wide, starts, 10, width)
@@ -301,7 +300,7 @@ def clear_points(
         known &= (least_px <= width[i]) & (width[i] <= most_px)
     if not known:
         n, starts = 0, starts[:1]
-        uv, along, width = uv[:0], along[:0], width[:0]
+        uv, along = uv[:0], along[:0]
     for i in range(n):
         width[i] *= np.sqrt(stretch[i])
     pieces = len(starts) - 1
@@ -314,7 +313,7 @@ def clear_points(
         most_pairs += 2 * halves[c] * min(m, MOST_PAIRS)
     pixel, centre = np.empty(most_lanes, np.int64), np.empty(most_lanes, np.float32)
     level, pairs = np.empty(most_pixels, np.float32), np.empty(most_pairs, np.float32)
-    measured, saturated = np.empty((4, n)), np.zeros(n, np.bool_)
+    measured, saturated = np.empty((4, n + LANES)), np.zeros(n, np.bool_)
     ends = np.zeros(pieces + 1, np.int64)
     for c in range(pieces):
         start, stop, half = starts[c], starts[c + 1], halves[c]
@@ -328,14 +327,14 @@ def clear_points(
             clipped = without_clipped(source, limit, pixel, size[0] if axis else 1, half, lanes, ground)
         if clipped:
             saturated_points(ground, half, lanes, centre, own, saturated[start:stop])
-        centroids(level, ground, half, lanes, centre, own, clipped, measured[:, start:stop])
+        centroids(level, ground, half, lanes, centre, width[start:], clipped, measured, start)
         ends[c + 1] = differences(ground, half, lanes, centre, own, clipped, pairs, ends[c])
-    shift, u, wide_px, high = measured
+    shift, u, wide_px, high = measured[0, :n], measured[1, :n], measured[2, :n], measured[3, :n]
     noise = pixel_noise(pairs[: ends[pieces]], ends, starts, least_noise)
     normal = line_normals(uv, starts, along)
     _, floor = scatter_and_floor(uv, starts, along, shift, u, noise)
     points = sound_points(
-        uv, starts, along, normal, width, noise, shift, u, wide_px, high, np.zeros(n), saturated, floor, least_height, size, least,
+        uv, starts, along, normal, width[:n], noise, shift, u, wide_px, high, np.zeros(n), saturated, floor, least_height, size, least,
         min_length,
     )  # fmt: skip
     return known, points

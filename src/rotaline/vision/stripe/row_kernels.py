@@ -114,9 +114,11 @@ def cross_lines(uv: np.ndarray, starts: np.ndarray, width_px: np.ndarray, normal
 def _steps_of_one(line: np.ndarray) -> bool:
     """Whether the values are whole numbers, each one more (or each one less) than the one before."""
     step, same = line[1] - line[0], True
+    if abs(step) != 1.0 or line[0] != np.floor(line[0]):
+        return False
     for i in range(len(line) - 1):
         same &= line[i + 1] - line[i] == step
-    return same and abs(step) == 1.0 and line[0] == np.floor(line[0])
+    return same
 
 
 @compiled
