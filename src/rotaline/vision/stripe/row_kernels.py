@@ -185,7 +185,7 @@ def whole_lines(uv: np.ndarray, chain: np.ndarray, spread_px2: np.ndarray) -> tu
     points, after, part = np.empty((most, 2)), np.empty(most, np.int64), np.empty(most)
     along, stretch, wide = np.empty((most, 2)), np.empty(most), np.empty(most)
     edges, balance = np.zeros(n + len(starts), np.int64), np.empty(n)
-    pairs, found = points.reshape(-1), uv.reshape(-1)
+    pairs, found, lines = points.reshape(-1), uv.reshape(-1), along.reshape(-1)
     m = pieces = 0
     for c in range(len(starts) - 1):
         begin, end = starts[c], starts[c + 1]
@@ -214,7 +214,9 @@ def whole_lines(uv: np.ndarray, chain: np.ndarray, spread_px2: np.ndarray) -> tu
                     stretch[j] = 1.0 / max(square if steep else 1.0 - square, 0.25)
                     wide[j] = spread_px2[after[j]] * (square if rows else 1.0 - square) - 1.0
             if last - m >= 2:
-                along[m:last, 0], along[m:last, 1] = (1.0, 0.0) if steep else (0.0, 1.0)
+                own = lines[2 * m :]
+                for j in range(last - m):
+                    own[2 * j], own[2 * j + 1] = 1.0 if steep else 0.0, 0.0 if steep else 1.0
                 pieces += 1
                 edges[pieces] = m = last
             begin, steep = stop, later
