@@ -59,7 +59,7 @@ def assemble(
     line, place, prominence, above = points[0], points[1], heights[0], heights[1]
     start, steep, factor = chains[0], chains[1], chains[2]
     start[0] = 0
-    n_chains, of_steep = 0, 0
+    n_chains = of_steep = np.int64(0)  # no constants, for each of which what is called would be compiled
     for kind in range(2):
         of_steep = n_chains
         number, lines = (n_flat, w) if kind else (n_steep, h)

@@ -305,7 +305,7 @@ def clear_points(
     if not known:
         uv, starts = uv[:0], starts[:1]
     known, centres, noise, floor, _, _, saturated, _ = measure_clear(
-        value, source, subtracted, limit, size, uv, starts, normal, width[: len(uv)], least_noise, False
+        value, source, subtracted, limit, size, uv, starts, normal, width[: len(uv)], least_noise, np.bool_(False)
     )
     if not known:
         uv, starts = uv[:0], starts[:1]

@@ -94,7 +94,8 @@ def grow(
         least = max(dim * (_EAGER if high[k] < _FAINT * dim else 1.0), WING * high[k])
         light[k] = _light(image, scale, queue[k] // columns, queue[k] % columns, stands[1, k], least)
     start[0] = 0
-    n_chains, m, fits = 0, 0, True
+    n_chains = m = np.int64(0)  # no constants, for each of which what is called would be compiled
+    fits = True
     for k in range(n_tiles):
         if not fits or count_bits(light[k]) < 2:
             continue
