@@ -8,6 +8,7 @@ import gc
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 
 import numpy as np
 from jaxtyping import Float
@@ -45,21 +46,24 @@ def compile_if_missing(
     note("compiling for this processor first: half a minute or more, this one time")
     options = options or StripeOptions()
     kind = (image.dtype.name, str(image.ndim), str(int(has_background)), options.method, options.laser_colour)
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-m", __name__, task, *kind], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-        )
-        for task in TASKS
-    ]
-    try:
+    with ExitStack() as open_processes:
+        processes = [
+            open_processes.enter_context(
+                subprocess.Popen(
+                    [sys.executable, "-m", __name__, task, *kind],
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.PIPE,
+                    text=True,
+                )
+            )
+            for task in TASKS
+        ]
+        for process in processes:
+            open_processes.callback(process.kill)
         for process in processes:
             _, errors = process.communicate()
             if process.returncode:
                 LOG.warning("compiling ahead failed, so that it takes longer: %s", errors.strip()[-1000:])
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
 
 
 def exercise(task: str, dtype: str, ndim: int, has_background: bool, options: StripeOptions) -> int:
