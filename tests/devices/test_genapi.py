@@ -235,10 +235,20 @@ def test_bounds_that_contradict_are_replaced():
     assert times.observe(1000, 10.0, 10.2)
     assert times.observe(1000, 10.1, 10.5)
     time_s, u_s = times.time_s(1000)
-    assert time_s == pytest.approx(10.15)
-    assert u_s == pytest.approx(0.1 / np.sqrt(12))
+    assert time_s == pytest.approx(10.1), "no further from 10.1, the middle at first, than the bounds ask for"
+    assert u_s == pytest.approx(np.hypot(0.1 / np.sqrt(12), 0.05))
     assert not times.observe(1000, 20.0, 20.2)
-    assert times.time_s(1000)[0] == pytest.approx(20.1)
+    assert times.time_s(1000)[0] == pytest.approx(20.0)
+
+
+def test_a_small_contradiction_does_not_turn_the_order_of_frames_round():
+    times = DeviceTime(1000.0)
+    assert times.observe(0, 9.9999, 10.0001)
+    before_s, _ = times.time_s(20)
+    assert not times.observe(30, 10.0, 10.0295), "half a millisecond off, and known to 30 ms only"
+    after_s, u_s = times.time_s(30)
+    assert before_s < after_s <= 10.0295
+    assert u_s > 0.0295 / np.sqrt(12)
 
 
 def test_a_frame_that_comes_late_is_not_the_next_one(clock):

@@ -5,7 +5,7 @@ import json
 import math
 import os
 import sys
-import tempfile
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -57,13 +57,9 @@ def whole_file(path: Path) -> Iterator[Path]:
         If the file cannot be written; then ``path`` is as it was.
     """
     make_folder(path.parent)
+    temporary = path.with_name(f".{path.stem}-{uuid.uuid4().hex[:8]}{path.suffix}")
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    except OSError as error:
-        raise output_error(path, error) from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
+        temporary.touch(exist_ok=False)  # an interrupt at any moment from here on leaves nothing behind
         yield temporary
         with temporary.open("rb") as stream:
             os.fsync(stream.fileno())

@@ -32,6 +32,7 @@ class DeviceTime:
     def __init__(self, tick_hz: float) -> None:
         self._tick_hz = tick_hz
         self._bounds: tuple[float, float] | None = None
+        self._offset_s: float | None = None
         self._ticks = 0
 
     def observe(self, ticks: int, earliest_s: float, latest_s: float) -> bool:
@@ -40,14 +41,17 @@ class DeviceTime:
         known = self._bounds_at(ticks)
         both = (max(low, known[0]), min(high, known[1]))
         fits = both[0] <= both[1]
-        self._bounds = both if fits else (low, high)
+        low, high = self._bounds = both if fits else (low, high)
+        # it moves no further than it has to, or else one frame would seem to come before the one before
+        self._offset_s = min(max((low + high) / 2 if self._offset_s is None else self._offset_s, low), high)
         self._ticks = ticks
         return fits
 
     def time_s(self, ticks: int) -> tuple[float, float]:
         """The program's time at a time of the camera, and its standard uncertainty (of a uniform distribution between the bounds)."""
         low, high = self._bounds_at(ticks)
-        return self._seconds(ticks) + (low + high) / 2, (high - low) / math.sqrt(12)
+        offset_s = (low + high) / 2 if self._offset_s is None else self._offset_s
+        return self._seconds(ticks) + offset_s, math.hypot((high - low) / math.sqrt(12), offset_s - (low + high) / 2)
 
     def _seconds(self, ticks: int) -> float:
         return ticks / self._tick_hz
