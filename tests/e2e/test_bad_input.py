@@ -8,12 +8,12 @@ import signal
 import subprocess
 import sys
 from contextlib import nullcontext
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-import rotaline.io.files
 from rotaline.cli.console import ConsoleObserver
 
 OK, INCOMPLETE, BAD_INPUT, NOT_POSSIBLE, NOT_WRITTEN, INTERRUPTED = 0, 1, 2, 3, 4, 130
@@ -335,16 +335,16 @@ def test_a_results_folder_without_permission(fresh, call):
 
 @pytest.mark.parametrize("n_files", [0, 4])
 def test_a_full_disk_keeps_what_was_finished(n_files, fresh, calibrated, call, monkeypatch):
-    made = rotaline.io.files.tempfile.mkstemp
+    made = Path.touch
     count = iter(range(1000))
 
-    def fill_up(**where):
+    def fill_up(path, **how):
         if next(count) >= n_files:
             raise OSError(28, os.strerror(28))
-        return made(**where)
+        made(path, **how)
 
     with monkeypatch.context() as patch:
-        patch.setattr(rotaline.io.files.tempfile, "mkstemp", fill_up)
+        patch.setattr(Path, "touch", fill_up)
         outcome = call("calibrate", fresh.session)
     assert outcome.code == NOT_WRITTEN
     assert "no space left" in outcome.err

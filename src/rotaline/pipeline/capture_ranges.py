@@ -28,6 +28,7 @@ from rotaline.pipeline.ranges import (
 )
 from rotaline.pipeline.store import StageResult, StageStore, key_of, sources_key
 from rotaline.scanning.cloud import PointCloud
+from rotaline.vision.background import shows_same_scene
 from rotaline.vision.stripe.model import StripePoints
 
 
@@ -76,9 +77,9 @@ class CaptureRanges:
         self._observer.stage(title, stored=not missing)
         if missing and done:
             self._observer.note(f"{done} of {len(self._spans)} ranges of frames are there from before")
+        begin = last_result = time.perf_counter()
         if missing:
             self._compile()
-        begin = last_result = time.perf_counter()
         earlier = 0.0
         fresh = self._store.workers.run(process_range, (self._task(s, system) for s in self._spans if s in missing))
         with self._observer.work(self._folder, len(self._frames)) as count:
@@ -160,8 +161,8 @@ class CaptureRanges:
     def _compile(self) -> None:
         """Compile what frames like the first one need."""
         with suppress(SessionError):  # it is named when its turn comes
-            image = read_source(self._frames[0].source)
-            has_background = any(background is not None for background in self._backgrounds)
+            image, off = read_source(self._frames[0].source), self._backgrounds[0]
+            has_background = off is not None and shows_same_scene(image, read_source(off))
             compile_if_missing(self._observer.note, image, has_background, self._options.stripe)
 
     def _stored(self, span: tuple[int, int], system: SystemCalibration | None) -> tuple[RangeResult, float]:
