@@ -48,7 +48,7 @@ class DeviceTime:
         return fits
 
     def time_s(self, ticks: int) -> tuple[float, float]:
-        """The program's time at a time of the camera, and its standard uncertainty (of a uniform distribution between the bounds)."""
+        """The program's time at a time of the camera, and its standard uncertainty: of a uniform distribution between the bounds, and how far from their middle the time is."""
         low, high = self._bounds_at(ticks)
         offset_s = (low + high) / 2 if self._offset_s is None else self._offset_s
         return self._seconds(ticks) + offset_s, math.hypot((high - low) / math.sqrt(12), offset_s - (low + high) / 2)
