@@ -13,7 +13,7 @@ from rotaline.calibration.model import SystemCalibration
 from rotaline.errors import SessionError, WorkError
 from rotaline.io.frame_images import read_source
 from rotaline.io.session import Capture
-from rotaline.pipeline.compiling import compile_if_missing
+from rotaline.pipeline.compiling import compile_if_missing, kernels_missing
 from rotaline.pipeline.frames import CaptureStripes, join_stripes
 from rotaline.pipeline.observer import LOG, Observer
 from rotaline.pipeline.options import Options
@@ -78,7 +78,7 @@ class CaptureRanges:
         if missing and done:
             self._observer.note(f"{done} of {len(self._spans)} ranges of frames are there from before")
         begin = last_result = time.perf_counter()
-        if missing:
+        if missing and kernels_missing():
             self._compile()
         earlier = 0.0
         fresh = self._store.workers.run(process_range, (self._task(s, system) for s in self._spans if s in missing))

@@ -29,10 +29,15 @@ _CASES = ((_THIN_PX, 0.6, 1.0, True), (_THIN_PX, 1.1, 1.0, False), (_WIDE_PX, 0.
 TASKS = ("find", "measure clear", "measure others")
 
 
+def kernels_missing() -> bool:
+    """Whether nothing was compiled yet for this version of the program."""
+    return not machine_code_stored("find_kernels")
+
+
 def compile_if_missing(
     note: Callable[[str], None], image: Image, has_background: bool = False, options: StripeOptions | None = None
 ) -> None:
-    """Compile what images of this kind need, if nothing was compiled yet for this version of the program; an interrupt ends it.
+    """Compile what images of this kind need, if nothing was compiled yet; an interrupt ends it.
 
     Parameters
     ----------
@@ -41,7 +46,7 @@ def compile_if_missing(
     has_background : there are images with the laser off
     options : None for the defaults
     """
-    if machine_code_stored("find_kernels"):
+    if not kernels_missing():
         return
     note("compiling for this processor first: half a minute or more, this one time")
     options = options or StripeOptions()
